@@ -66,7 +66,7 @@ def main(arguments: list[str] | None = None) -> None:
     for name in ("ear", "scan", "experiment"):
         parser.add_argument(f"--{name}", nargs="+", default=[], metavar="NAME=VALUE", help=f"of the {name}")
     options = parser.parse_args(arguments)
-    ear = with_settings(Ear(seed=options.seed), options.ear, parser)
+    ear = with_settings(Ear(), options.ear, parser)
     scan = with_settings(Scan(seed=options.seed), options.scan, parser)
     experiment = with_settings(Experiment(seed=options.seed), options.experiment, parser)
     own = options.out == HERE

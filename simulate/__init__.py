@@ -20,51 +20,31 @@ One study in one call:
     truth.recording.culprits                             # {channel: right verdict}
     truth.placed.solids                                  # all bodies in scan coordinates, mm
 
-It writes scan.tif, ldv.csv, points.csv, fiducials.csv, study.toml and truth.json. Parts of it on their own:
+It writes scan.tif, ldv.csv, points.csv, fiducials.csv, study.toml and truth.json. Its parts:
 
-* ``simulate_truth(ear, scan)``: frames and matrices, nothing rendered.
-* ``simulate_recording(truth, experiment)``: a `Recording` in memory (60 lines: 30 ms).
-* ``render(truth.placed, scan)``: the volume in memory (50 um: 0.1 s with ``Scan(samples=6)``).
-* ``simulate_study(ear, None, experiment, folder)`` leaves the scan away, and None in place of the experiment
-  the measurement.
+* ``simulate_truth(ear, scan)``: frames and matrices; ``render(truth.placed, scan)``: the volume in memory;
+  ``simulate_recording(truth, experiment)``: a `Recording` in memory.
 * ``measure_motion(motions, places, experiment)``: any bodies, motions and points, for example
   ``{"a": resonant_motion(rng, freq_hz)[None]}`` at ``{"a": scattered_points(rng, 9)}``.
-* ``motion_of(recording)``: the rigid motion with its covariance and shared errors (`RigidMotion`), by plain
-  least squares with the reported positions: what a fit of K and D starts from, without a scan or files.
-* ``ring_ligament(Ring(...))`` and ``draw_ring(rng)``: K and D in six degrees of freedom of a ring of springs
-  whose plane lies above the footplate centre; ``damped_alike(ligament, law)``: other damping laws.
+* ``motion_of(recording)``: the rigid motion by plain least squares (`RigidMotion`).
+* ``ring_ligament(Ring(...))``, ``draw_ring(rng)``, ``damped_alike(ligament, law)``: other ligaments.
 * ``cohort``: many ears with a planted law.
-* ``write_recording(folder, recording, format)``, ``write_scan(folder, placed, scan)``: every format of
-  the tables ``WRITERS`` in simulate.files (Experiment.format, Scan.format in a study; ``ply`` is the exact
-  surface of the stapes in place of a volume). ``write_labels(path, placed)``: the true segmentation.
-* Exact bodies: ``box``, ``ring``, ``rod``, ``ellipsoid``, ``stapes_solid(Stapes(...))``,
-  ``Solid.moments()``, ``uniform_mass(...)``; ``footplate_frame(solid)`` by the definition;
-  ``coverage_of(solid, shape, voxel_mm)``: exact partial volumes of one body.
+* ``write_recording``, ``write_scan``, ``write_labels``: files; formats in simulate.files.
+* Exact bodies: ``box``, ``ring``, ``rod``, ``ellipsoid``, ``stapes_solid``, ``Solid.moments()``,
+  ``uniform_mass``, ``footplate_frame``, ``coverage_of`` (partial volumes).
 
-Stated standard deviations of a study are true: density (Ear.density_sd, drawn), points and fiducials
-(position_sd_mm, fiducial_sd_mm), channels (Recording.sd_m_s). Kinds of faults: ``KINDS``; families of stapes:
-``STAPES``.
+Stated standard deviations of a study are true. Kinds of faults: ``KINDS``; families of stapes: ``STAPES``.
 """
 
 from simulate.cohort import Population, cohort
 from simulate.coverage import coverage_of
-from simulate.ear import FIDUCIALS_MM, Ear, footplate_outline
+from simulate.ear import FIDUCIALS_MM, Ear
 from simulate.faults import KINDS, MeasurementFault
 from simulate.files.recordings import write_recording
-from simulate.files.volumes import WRITERS as SCAN_WRITERS
 from simulate.files.volumes import write_labels, write_scan
 from simulate.footplate import footplate_frame
-from simulate.ligament import (
-    LAWS,
-    PAPER_STIFFNESS,
-    Ligament,
-    Ring,
-    damped_alike,
-    draw_ring,
-    ring_ligament,
-    stapes_motion,
-)
-from simulate.mass import MassProperties, displaced, graded_mass, point_mass, uniform_mass
+from simulate.ligament import LAWS, Ligament, Ring, damped_alike, draw_ring, ring_ligament, stapes_motion
+from simulate.mass import MassProperties, point_mass, uniform_mass
 from simulate.motion import motion_of
 from simulate.points import scattered_points
 from simulate.scanner import Scan, render
@@ -75,52 +55,10 @@ from simulate.study import Truth, simulate_recording, simulate_study, simulate_t
 from simulate.vibrometer import Experiment, Recording, measure_motion
 
 __all__ = [
-    "FIDUCIALS_MM",
-    "KINDS",
-    "LAWS",
-    "PAPER_STIFFNESS",
-    "SCAN_WRITERS",
-    "STAPES",
-    "Ear",
-    "Experiment",
-    "Ligament",
-    "MassProperties",
-    "MeasurementFault",
-    "Moments",
-    "Population",
-    "Recording",
-    "Ring",
-    "Scan",
-    "Solid",
-    "Stapes",
-    "Truth",
-    "base_motion",
-    "box",
-    "cohort",
-    "coverage_of",
-    "damped_alike",
-    "displaced",
-    "draw_ring",
-    "ellipsoid",
-    "footplate_frame",
-    "footplate_outline",
-    "graded_mass",
-    "measure_motion",
-    "motion_of",
-    "point_mass",
-    "render",
-    "resonant_motion",
-    "ring",
-    "ring_ligament",
-    "rod",
-    "scattered_points",
-    "simulate_recording",
-    "simulate_study",
-    "simulate_truth",
-    "stapes_motion",
-    "stapes_solid",
-    "uniform_mass",
-    "write_labels",
-    "write_recording",
-    "write_scan",
-]
+    "FIDUCIALS_MM", "KINDS", "LAWS", "STAPES", "Ear", "Experiment", "Ligament", "MassProperties",
+    "MeasurementFault", "Moments", "Population", "Recording", "Ring", "Scan", "Solid", "Stapes", "Truth",
+    "base_motion", "box", "cohort", "coverage_of", "damped_alike", "draw_ring", "ellipsoid",
+    "footplate_frame", "measure_motion", "motion_of", "point_mass", "render", "resonant_motion", "ring",
+    "ring_ligament", "rod", "scattered_points", "simulate_recording", "simulate_study", "simulate_truth",
+    "stapes_motion", "stapes_solid", "uniform_mass", "write_labels", "write_recording", "write_scan",
+]  # fmt: skip

@@ -17,37 +17,19 @@ REFERENCE_KG = 3.2e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Population:
-    """How ears differ; every spread is a standard deviation of a natural logarithm.
+    """How ears differ; every spread is a standard deviation of a natural logarithm."""
 
-    Attributes
-    ----------
-    ears, pairs : int
-        Number of ears, and of persons with both of them.
-    size, stretch : float
-        Of the whole stapes and of each of its axes.
-    scatter : float
-        Of K and D about their laws, common to the degrees of freedom of a matrix.
-    entry_scatter : float
-        Of each degree of freedom on its own.
-    likeness : float
-        Correlation of the two ears of a person, in size and in scatter.
-    exponents : tuple of float
-        Of K and D over the mass, for y, alpha and gamma. A force goes with the length of the ligament; a
-        moment with two more powers of length.
-    ear : Ear
-        What all have in common; its ligament has mass REFERENCE_KG.
-    seed : int
-    """
-
-    ears: int = 12
+    ears: int = 12  # number of ears, and of persons with both of them
     pairs: int = 3
-    size: float = 0.07
+    size: float = 0.07  # of the whole stapes and of each of its axes
     stretch: float = 0.025
-    scatter: float = 0.12
-    entry_scatter: float = 0.05
-    likeness: float = 0.6
+    scatter: float = 0.12  # of K and D about their laws, common to the degrees of freedom of a matrix
+    entry_scatter: float = 0.05  # of each degree of freedom on its own
+    likeness: float = 0.6  # correlation of the two ears of a person, in size and in scatter
+    # of K and D over the mass, for y, alpha and gamma. A force goes with the length of the ligament; a
+    # moment with two more powers of length
     exponents: tuple[float, float, float] = (1.0, 5.0 / 3.0, 5.0 / 3.0)
-    ear: Ear = field(default_factory=Ear)
+    ear: Ear = field(default_factory=Ear)  # what all have in common; its ligament has mass REFERENCE_KG
     seed: int = 4
 
     @property

@@ -22,27 +22,13 @@ _TRIED_AT_ONCE = 1 << 15  # sub-columns whose numbers, some 3 MB, stay in the ca
 
 @dataclass(frozen=True)
 class Crossings:
-    """Where the sub-columns of a grid meet a closed surface.
+    """Where the sub-columns of a grid meet a closed surface."""
 
-    Attributes
-    ----------
-    layer : ndarray of int16, (n,)
-        Slice of the voxel that is crossed, ascending.
-    column : ndarray of int32, (n,)
-        Flat index y * nx + x of the voxel column.
-    height : ndarray, (n,)
-        In voxels, voxel k spanning k - 0.5 to k + 0.5.
-    weight : ndarray, (n,)
-        +1/s^2 where the column enters the body going up z, -1/s^2 where it leaves it.
-    shape : tuple of int
-        (nx, ny) of the grid.
-    """
-
-    layer: NDArray[np.int16]
-    column: NDArray[np.int32]
-    height: Array
-    weight: Array
-    shape: tuple[int, int]
+    layer: NDArray[np.int16]  # slice of the voxel that is crossed, ascending
+    column: NDArray[np.int32]  # flat index y * nx + x of the voxel column
+    height: Array  # in voxels, voxel k spanning k - 0.5 to k + 0.5
+    weight: Array  # +1/s^2 where the column enters the body going up z, -1/s^2 where it leaves it
+    shape: tuple[int, int]  # (nx, ny) of the grid
 
     def touches(self, first: int, count: int) -> bool:
         """Return whether the body reaches into ``count`` slices from slice ``first`` on."""

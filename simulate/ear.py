@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,6 +20,9 @@ _BONE_LOW_MM = -0.15  # of the same bone
 _MARGIN_MM = 0.25  # of air around everything
 _PLATE_LOW, _PLATE_HIGH = np.array([-2.2, -0.5, -1.5]), np.array([2.2, 0.0, 1.5])
 _PINS = ((-1.95, 1.3, 0.7), (1.95, -1.3, 0.45))
+_PLATE_DISTANCE_MM = 0.8
+_PLATE_TILT = rotation_from_vector(np.radians([4.0, 0.0, -3.0]))
+_PLATE_TURN = rotation_from_vector(np.radians([0.0, 12.0, 0.0]))
 FIDUCIALS_MM = {
     "corner_a": (-2.1, 0.0, -1.4),
     "corner_b": (2.1, 0.0, -1.4),
@@ -33,65 +36,31 @@ FIDUCIALS_MM = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ear:
-    """One ear.
-
-    Attributes
-    ----------
-    stapes : Stapes
-    density_kg_m3 : float
-        True density halfway up; 1382.4 gives the OpenEar stapes the paper's 3.2 mg.
-    density_gradient : float
-        Relative change of it from there to either end; grey values follow it.
-    density_sd : float
-        Relative standard deviation with which the study states the density, drawn around the true one.
-    ligament : Ligament
-    loose_masses : tuple of (x, y, z in mm, kg)
-        Point masses on the stapes that the scan does not show.
-    gap_mm : float
-        Between the outline of the footplate and the bone around it.
-    bridges : int
-        Bony bridges across the gap, of radius ``bridge_radius_mm``.
-    bone, bone_reach : bool, float
-        Bone around the window; a reach above 1 runs out of the field of view.
-    plate : bool
-        The plastic plate below.
-    plate_distance_mm, plate_tilt_deg, plate_turn_deg
-        From the footplate centre, about x and z, and about y of the footplate.
-    plate_gap_mm : float or None
-        Distance of the plate from the nearest point of the stapes in place of ``plate_distance_mm``; 0: they
-        touch; negative: the stapes is sunk into the plate.
-    incus_gap_mm : float or None
-        Distance of the incus from the head; negative: grown together; None: incus removed.
-    coat_mm, fluid_depth_mm : float
-        Thickness of soft tissue on the stapes; fluid on the footplate up to this height. Their grey value is
-        that of Scan.soft.
-    dust : int
-        Loose bone fragments of about 0.1 mm.
-    seed : int
-        Of the dust.
-    """
+    """One ear."""
 
     stapes: Stapes = field(default_factory=Stapes)
+    # true density halfway up; 1382.4 gives the OpenEar stapes the paper's 3.2 mg
     density_kg_m3: float = 1382.4
-    density_gradient: float = 0.0
+    density_gradient: float = 0.0  # relative change of it from there to either end; grey values follow it
+    # relative sd with which the study states the density, drawn around the true one
     density_sd: float = 0.01
     ligament: Ligament = field(default_factory=Ligament)
+    # point masses on the stapes that the scan does not show
     loose_masses: tuple[tuple[float, float, float, float], ...] = ()
-    gap_mm: float = 0.2
-    bridges: int = 0
+    gap_mm: float = 0.2  # between the outline of the footplate and the bone around it
+    bridges: int = 0  # bony bridges across the gap, of radius ``bridge_radius_mm``
     bridge_radius_mm: float = 0.05
-    bone: bool = True
-    bone_reach: float = 1.0
-    plate: bool = True
-    plate_distance_mm: float = 0.8
+    bone: bool = True  # bone around the window
+    plate: bool = True  # the plastic plate below
+    # distance of the plate from the nearest point of the stapes, negative: sunk into the plate; None: the usual
+    # distance from the footplate centre
     plate_gap_mm: float | None = None
-    plate_tilt_deg: tuple[float, float] = (4.0, -3.0)
-    plate_turn_deg: float = 12.0
+    # distance of the incus from the head; negative: grown together; None: incus removed
     incus_gap_mm: float | None = None
+    # thickness of soft tissue on the stapes; fluid on the footplate up to this height. Their grey value is
+    # that of Scan.soft
     coat_mm: float = 0.0
     fluid_depth_mm: float = 0.0
-    dust: int = 0
-    seed: int = 1
 
     @property
     def side(self) -> str:
@@ -118,17 +87,14 @@ class Ear:
 
     def footplate_from_plate(self) -> RigidTransform:
         """Return the pose of the plate's face as it is built; +y looks towards the stapes."""
-        tilt = rotation_from_vector(np.radians([self.plate_tilt_deg[0], 0.0, self.plate_tilt_deg[1]]))
-        turn = rotation_from_vector(np.radians([0.0, self.plate_turn_deg, 0.0]))
-        shift = tilt @ [0.0, -self.face_distance_mm(), 0.0]
-        return RigidTransform.from_parts(tilt @ turn, shift, "footplate", "plate")
+        shift = _PLATE_TILT @ [0.0, -self.face_distance_mm(), 0.0]
+        return RigidTransform.from_parts(_PLATE_TILT @ _PLATE_TURN, shift, "footplate", "plate")
 
     def face_distance_mm(self) -> float:
         """Return the distance of the plate's face from the footplate centre."""
         if self.plate_gap_mm is None:
-            return self.plate_distance_mm
-        tilt = rotation_from_vector(np.radians([self.plate_tilt_deg[0], 0.0, self.plate_tilt_deg[1]]))
-        return self.plate_gap_mm - float((self.solid.vertices_mm @ tilt[:, 1]).min())
+            return _PLATE_DISTANCE_MM
+        return self.plate_gap_mm - float((self.solid.vertices_mm @ _PLATE_TILT[:, 1]).min())
 
     def solids(self) -> list[tuple[Solid, str]]:
         """Return all bodies in footplate coordinates, each with its material; the stapes comes first."""
@@ -139,11 +105,6 @@ class Ear:
             made += [(solid.moved(self.footplate_from_plate()), "plastic") for solid in _plate()]
         if self.incus_gap_mm is not None:
             made += [(solid, "bone") for solid in _incus(self.solid, self.incus_gap_mm)]
-        rng = np.random.default_rng(self.seed + 1000)
-        for _ in range(self.dust):
-            place = np.array([rng.uniform(-1.5, 1.5), rng.uniform(1.0, 2.5), rng.choice([-1.2, 1.2])])
-            size = rng.uniform(0.03, 0.08, 3)
-            made.append((box(place - size, place + size), "bone"))
         if self.coat_mm:
             made.append((_grown(self.solid, self.coat_mm), "soft"))
         if self.fluid_depth_mm:
@@ -152,31 +113,29 @@ class Ear:
         return made
 
 
-def footplate_outline(solid: Solid, gap_mm: float, top_mm: float = WINDOW_TOP_MM) -> Array:
-    """Return the outline of the footplate in the oval window, widened by ``gap_mm`` on all sides.
+def footplate_outline(solid: Solid, gap_mm: float) -> Array:
+    """Return the outline of the footplate in the oval window, widened on all sides, at its waist too.
 
     Parameters
     ----------
     solid : Solid
         A stapes in its footplate frame.
     gap_mm : float
-        Distance from the outline, kept all round, at the concave waist too.
-    top_mm : float
-        Height up to which the stapes stands in the window.
+        Distance from the outline.
 
     Returns
     -------
     ndarray, (192, 2)
         x and z, mm, at equal angles around the footplate centre.
     """
-    return _outline(solid, float(gap_mm), float(top_mm)).copy()
+    return _outline(solid, float(gap_mm)).copy()
 
 
 @functools.lru_cache(maxsize=128)
-def _outline(solid: Solid, gap_mm: float, top_mm: float, count: int = 192, least_mm: float = 0.01) -> Array:
+def _outline(solid: Solid, gap_mm: float, count: int = 192, least_mm: float = 0.01) -> Array:
     angles = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
     directions = np.column_stack([np.cos(angles), np.sin(angles)])
-    rim = _silhouette(solid, top_mm)
+    rim = _silhouette(solid, WINDOW_TOP_MM)
     along = rim @ directions.T
     beside = rim[:, :1] * directions[:, 1] - rim[:, 1:] * directions[:, 0]
     around = max(gap_mm, least_mm)
@@ -207,7 +166,7 @@ def _bone_around(ear: Ear) -> list[Solid]:
     angle = np.arctan2(inner[:, 1], inner[:, 0])
     reach = 1.0 / (np.abs(np.cos(angle) / 2.0) ** 4 + np.abs(np.sin(angle) / 1.4) ** 4) ** 0.25
     lumps = 1.0 + 0.03 * np.sin(3.0 * angle + 0.5) + 0.02 * np.sin(7.0 * angle)
-    outer = np.column_stack([np.cos(angle), np.sin(angle)]) * (reach * lumps * ear.bone_reach)[:, None]
+    outer = np.column_stack([np.cos(angle), np.sin(angle)]) * (reach * lumps)[:, None]
     parts = [ring(inner, outer, _BONE_LOW_MM, WINDOW_TOP_MM)]
     deep = -ear.face_distance_mm() - 0.1
     feet = ((-1.6, 0.88), (1.56, 0.9), (-1.55, -0.9), (1.6, -0.86))
@@ -250,29 +209,16 @@ def _grown(solid: Solid, thickness_mm: float) -> Solid:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Placed:
-    """The bodies of an ear placed in a scan.
-
-    Attributes
-    ----------
-    ear : Ear
-    shape : tuple of int
-        Voxels x, y, z.
-    voxel_mm : ndarray, (3,)
-    scan_from_footplate, scan_from_plate : RigidTransform
-        The plate frame is that of the contract: x towards the larger positive component along scan x.
-    plate_turn : ndarray, (3,)
-        What coordinates in the frame that the plate is built in are multiplied with.
-    solids : tuple of (Solid, str)
-        In scan coordinates, each with its material.
-    """
+    """The bodies of an ear placed in a scan."""
 
     ear: Ear
-    shape: tuple[int, int, int]
-    voxel_mm: Array
+    shape: tuple[int, int, int]  # voxels x, y, z
+    voxel_mm: Array  # (3,)
+    # the plate frame is that of the contract: x towards the larger positive component along scan x
     scan_from_footplate: RigidTransform
     scan_from_plate: RigidTransform
-    plate_turn: Array
-    solids: tuple[tuple[Solid, str], ...]
+    plate_turn: Array  # (3,): What coordinates in the frame that the plate is built in are multiplied with
+    solids: tuple[tuple[Solid, str], ...]  # in scan coordinates, each with its material
 
     def fiducials_mm(self) -> dict[str, Array]:
         """Return the true places of the marks in the plate frame of the contract, mm."""
@@ -285,37 +231,26 @@ def place(
     rotation: Array,
     rng: np.random.Generator,
     shape: tuple[int, int, int] | None = None,
-    shift_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Placed:
-    """Place an ear in the middle of a scan, off by a random part of a voxel.
+    """Place an ear in the middle of a scan, turned by scan_from_footplate (3, 3), off by part of a voxel.
 
-    Parameters
-    ----------
-    ear : Ear
-    voxel_mm : ndarray, (3,)
-    rotation : ndarray, (3, 3)
-        scan_from_footplate.
-    rng : Generator
-    shape : tuple of int, optional
-        Voxels x, y, z; the smallest box that holds everything with a margin when not given.
-    shift_mm : tuple of float
-        Moves the ear in its volume.
+    Without a shape, voxels x, y, z, the volume is the smallest box that holds everything with a margin.
     """
     turned = RigidTransform.from_parts(rotation, np.zeros(3), "scan", "footplate")
-    seen = replace(ear, bone_reach=min(ear.bone_reach, 1.0))
-    points = np.concatenate([turned.points(solid.vertices_mm) for solid, _ in seen.solids()])
+    solids = ear.solids()
+    points = np.concatenate([turned.points(solid.vertices_mm) for solid, _ in solids])
     low, high = points.min(axis=0), points.max(axis=0)
     count = (
         np.ceil((high - low + 2.0 * _MARGIN_MM) / voxel_mm).astype(int) if shape is None else np.array(shape)
     )
-    centre = 0.5 * (count - 1) * voxel_mm + np.asarray(shift_mm)
+    centre = 0.5 * (count - 1) * voxel_mm
     offset = centre - 0.5 * (low + high) + rng.uniform(-0.5, 0.5, 3) * voxel_mm
     pose = RigidTransform.from_parts(rotation, offset, "scan", "footplate")
     plate = pose @ ear.footplate_from_plate()
     leading = next((part for part in plate.rotation[:, 0] if abs(part) > 1e-6), 1.0)
     turn = np.ones(3) if leading > 0.0 else np.array([-1.0, 1.0, -1.0])
     plate = plate @ RigidTransform.from_parts(np.diag(turn), np.zeros(3), "plate", "plate")
-    placed = tuple((solid.moved(pose), material) for solid, material in ear.solids())
+    placed = tuple((solid.moved(pose), material) for solid, material in solids)
     nx, ny, nz = (int(n) for n in count)
     return Placed(
         ear=ear,

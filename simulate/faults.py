@@ -19,66 +19,35 @@ from stapeskit.frames import rotation_from_vector
 
 @dataclass(frozen=True, kw_only=True)
 class MeasurementFault:
-    """One fault; what is left open is drawn.
+    """One fault; what is left open is drawn."""
 
-    Attributes
-    ----------
-    kind : str
-        One of KINDS.
-    size : float or None
-        In the unit that `KINDS` names; None: the usual size.
-    body, point, laser
-        Where it is. An empty point or a laser of -1 is drawn.
-    other : str
-        The second point of an exchange.
-    """
-
-    kind: str
-    size: float | None = None
-    body: str = "stapes"
+    kind: str  # one of KINDS
+    size: float | None = None  # in the unit that `KINDS` names; None: the usual size
+    body: str = "stapes"  # where it is. An empty point or a laser of -1 is drawn
     point: str = ""
     laser: int = -1
-    other: str = ""
+    other: str = ""  # the second point of an exchange
 
 
 @dataclass
 class TrueState:
-    """The true state of a measurement, which a fault changes.
-
-    Attributes
-    ----------
-    freq_hz : ndarray, (L,)
-    body, point, laser : (C,)
-    place_mm, beam : ndarray, (C, 3)
-        Footplate axes.
-    motion_m : dict of str to ndarray, (R, L, 6), complex
-    factor : ndarray, (C, L), complex
-        Multiplies the signal.
-    loud : ndarray, (C,)
-        Multiplies the noise, not what is stated of it.
-    added : ndarray, (R, C, L), complex
-        Velocity that no rigid motion makes, m/s.
-    order : ndarray, (C,)
-        Channel whose signal stands in each channel.
-    culprits : dict of int to str
-        Channels at fault, each with the right verdict.
-    """
+    """The true state of a measurement, which a fault changes."""
 
     rng: np.random.Generator
-    freq_hz: Array
+    freq_hz: Array  # (L,)
     body: tuple[str, ...]
     point: tuple[str, ...]
     laser: Array
-    place_mm: Array
+    place_mm: Array  # (C, 3): Footplate axes
     beam: Array
-    motion_m: dict[str, ComplexArray]
+    motion_m: dict[str, ComplexArray]  # (R, L, 6)
     runs: int
-    factor: ComplexArray = field(init=False)
-    loud: Array = field(init=False)
-    added: ComplexArray = field(init=False)
-    order: NDArray[np.int64] = field(init=False)
+    factor: ComplexArray = field(init=False)  # (C, L): Multiplies the signal
+    loud: Array = field(init=False)  # (C,): Multiplies the noise, not what is stated of it
+    added: ComplexArray = field(init=False)  # (R, C, L): Velocity that no rigid motion makes, m/s
+    order: NDArray[np.int64] = field(init=False)  # (C,): Channel whose signal stands in each channel
     conjugated: bool = False
-    culprits: dict[int, str] = field(default_factory=dict)
+    culprits: dict[int, str] = field(default_factory=dict)  # channels at fault, each with the right verdict
 
     def __post_init__(self) -> None:
         channels, lines = len(self.body), len(self.freq_hz)
@@ -106,13 +75,7 @@ class TrueState:
         return np.asarray(np.any(self.factor != 0.0, axis=1, keepdims=True), dtype=float)
 
     def of(self, body: str = "", point: str = "", laser: int = -1) -> list[int]:
-        """Return the channels of a body, point and laser; empty and -1 stand for all.
-
-        Raises
-        ------
-        ValueError
-            There is no such channel.
-        """
+        """Return the channels of a body, point and laser; empty and -1 stand for all; ValueError for none."""
         found = [
             c
             for c in range(len(self.body))
@@ -138,39 +101,17 @@ Change = Callable[[TrueState, list[int], float], None]
 
 @dataclass(frozen=True)
 class FaultKind:
-    """A kind of fault.
+    """A kind of fault."""
 
-    Attributes
-    ----------
-    verdict : str
-        What its channels must be called.
-    where : callable
-        Which channels it takes.
-    change : callable
-        What it does to them.
-    usual : float
-        Its usual size.
-    unit : str
-        Of the size.
-    """
-
-    verdict: str
-    where: Where
-    change: Change
-    usual: float = 0.0
-    unit: str = ""
+    verdict: str  # what its channels must be called
+    where: Where  # which channels it takes
+    change: Change  # what it does to them
+    usual: float = 0.0  # its usual size
+    unit: str = ""  # of the size
 
 
 def apply_fault(state: TrueState, fault: MeasurementFault) -> None:
-    """Put a fault into the true state and enter its culprits.
-
-    Raises
-    ------
-    ValueError
-        The kind is unknown, or there is no such body, point or laser.
-    """
-    if fault.kind not in KINDS:
-        raise ValueError(f"the fault must be one of {', '.join(KINDS)}; got {fault.kind}.")
+    """Put a fault into the true state and enter its culprits."""
     kind = KINDS[fault.kind]
     channels = kind.where(state, fault)
     kind.change(state, channels, kind.usual if fault.size is None else fault.size)
@@ -198,19 +139,12 @@ def _all(state: TrueState, _: MeasurementFault) -> list[int]:
     return state.of()
 
 
-def _points(count: int, state: TrueState, fault: MeasurementFault) -> list[int]:
-    """Return the channels of named points, and of drawn ones up to a count."""
-    names = [name for name in (fault.point, fault.other) if name][:count]
+def _two_points(state: TrueState, fault: MeasurementFault) -> list[int]:
+    """Return the channels of named points, and of drawn ones up to two."""
+    names = [name for name in (fault.point, fault.other) if name]
     rest = [name for name in state.points_of(fault.body) if name not in names]
-    drawn = state.rng.permutation(rest)[: count - len(names)]
+    drawn = state.rng.permutation(rest)[: 2 - len(names)]
     return [channel for name in (*names, *drawn) for channel in state.of(fault.body, str(name))]
-
-
-def _some_points(state: TrueState, fault: MeasurementFault) -> list[int]:
-    """Return the channels of a few points of a body, less than half of them."""
-    names = state.points_of(fault.body)
-    few = state.rng.permutation(names)[: int(state.rng.integers(2, max((len(names) - 1) // 2, 2) + 1))]
-    return [channel for name in few for channel in state.of(fault.body, str(name))]
 
 
 def _two_beams(state: TrueState, fault: MeasurementFault) -> list[int]:
@@ -240,20 +174,9 @@ def _shift(state: TrueState, at: list[int], size: float) -> None:
     state.place_mm[at] += size * state.unit_vector()
 
 
-def _exchange(groups: int, state: TrueState, at: list[int], _: float) -> None:
-    """Move the signal of each group of channels to the group before it."""
-    state.order[at] = state.order[np.roll(at, -len(at) // groups)]
-
-
-def _exchange_bodies(state: TrueState, _: list[int], __: float) -> None:
-    one, two = list(dict.fromkeys(state.body))[:2]
-    state.motion_m[one], state.motion_m[two] = state.motion_m[two], state.motion_m[one]
-
-
-def _other_range(state: TrueState, at: list[int], size: float) -> None:
-    """Read noise and all in another range."""
-    state.factor[at] *= size
-    state.loud[at] *= abs(size)
+def _exchange(state: TrueState, at: list[int], _: float) -> None:
+    """Exchange the signals of the first and the second half of the channels."""
+    state.order[at] = state.order[np.roll(at, -len(at) // 2)]
 
 
 def _conjugate(state: TrueState, _: list[int], __: float) -> None:
@@ -273,24 +196,13 @@ def _bend(state: TrueState, at: list[int], size: float) -> None:
     state.added[:, at] += size * level * added / np.sqrt(np.mean(np.abs(added) ** 2))
 
 
-def _holder(freq_hz: Array, size: float) -> ComplexArray:
-    """Return the factor of a holder that resonates at 2600 Hz: all channels of its body read too much."""
-    ratio = freq_hz / 2600.0
-    return np.asarray(1.0 + size / (1.0 - ratio**2 + 0.1j * ratio))
-
-
 _SCOPES: dict[str, Where] = {"": _channel, "point_": _point, "laser_": _laser, "body_": _body}
 _FACTORS: dict[str, tuple[str, Callable[[Array, float], Any], float, str]] = {
     "gain": ("gain", lambda _, size: 1.0 + size, 0.05, "relative"),
     "phase": ("gain", lambda _, size: np.exp(1j * np.radians(size)), 3.0, "degrees"),
     "delay": ("gain", lambda freq, size: np.exp(-2j * np.pi * freq * size), 1e-5, "s"),
     "sign": ("sign", lambda _, __: -1.0, 0.0, ""),
-    "drift": (
-        "drift",
-        lambda f, size: 1.0 + size * np.linspace(0, 1, len(f)),
-        0.06,
-        "relative, to the last line",
-    ),
+    "drift": ("drift", lambda f, size: 1.0 + size * np.linspace(0, 1, len(f)), 0.06, "at the last line"),
     "zeros": ("zeros", lambda _, __: 0.0, 0.0, ""),
 }
 KINDS: dict[str, FaultKind] = {
@@ -303,13 +215,9 @@ KINDS: dict[str, FaultKind] = {
     "laser_direction": FaultKind("direction", _laser, _tilt, 3.0, "degrees"),
     "axes": FaultKind("direction", _all, _turn_axes, 2.0, "degrees that all beams are turned"),
     "position": FaultKind("position", _point, _shift, 0.2, "mm"),
-    "label_swap": FaultKind("label_swap", partial(_points, 2), partial(_exchange, 2)),
-    "label_cycle": FaultKind("label_swap", partial(_points, 3), partial(_exchange, 3)),
-    "beams_swap": FaultKind("label_swap", _two_beams, partial(_exchange, 2)),
-    "bodies_exchanged": FaultKind("label_swap", _all, _exchange_bodies),
-    "range": FaultKind("gain", _some_points, _other_range, 2.0, "factor of the points"),
+    "label_swap": FaultKind("label_swap", _two_points, _exchange),
+    "beams_swap": FaultKind("label_swap", _two_beams, _exchange),
     "conjugate": FaultKind("sign", _all, _conjugate),
     "flexible": FaultKind("flexible", _body, _bend, 0.06, "bending over the rms of all readings"),
-    "holder": FaultKind("gain", _body, partial(_multiply, _holder), 0.02, "relative, at low frequencies"),
 }
 """Faults by kind."""

@@ -38,33 +38,21 @@ LAWS: dict[str, tuple[Callable[[Array, float], Any], float, Callable[[float], fl
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ligament:
-    """What ties the stapes to the bone: K + s(w) D of some degrees of freedom; the others move with the bone.
-
-    Attributes
-    ----------
-    stiffness_si, damping_si : ndarray, (n, n)
-    dof : tuple of str, (n,)
-        In the order of DOF_NAMES.
-    law : str
-        One of LAWS.
-    exponent : float or None
-        Power of a fractional law, or relaxation time in s; None: the usual one of the law.
-    drift, step, run_change : float
-        Relative change of K and D from the first to the last line, from the middle line on, and from one run
-        to the next.
-    fluid_mass_kg : float
-        Fluid of the cochlea that the bone carries along and the piston displaces: its inertia works against
-        the deflection along y.
-    """
+    """What ties the stapes to the bone: K + s(w) D of some degrees of freedom; others move with the bone."""
 
     stiffness_si: Array = field(default_factory=PAPER_STIFFNESS.copy)
     damping_si: Array = field(default_factory=PAPER_DAMPING.copy)
-    dof: tuple[str, ...] = PISTON_DOF
-    law: str = "viscous"
+    dof: tuple[str, ...] = PISTON_DOF  # in the order of DOF_NAMES
+    law: str = "viscous"  # one of LAWS
+    # power of a fractional law, or relaxation time in s; None: the usual one of the law
     exponent: float | None = None
+    # relative change of K and D from the first to the last line, from the middle line on, and from one run
+    # to the next
     drift: float = 0.0
     step: float = 0.0
     run_change: float = 0.0
+    # fluid of the cochlea that the bone carries along and the piston displaces: its inertia works against
+    # the deflection along y
     fluid_mass_kg: float = 0.0
 
     def __post_init__(self) -> None:
@@ -106,37 +94,20 @@ def damped_alike(ligament: Ligament, law: str, exponent: float | None = None) ->
 
 @dataclass(frozen=True, kw_only=True)
 class Ring:
-    """An elliptic ring of springs and dashpots in a plane of its own around the rim of the footplate.
+    """An elliptic ring of springs and dashpots in a plane of its own around the rim of the footplate."""
 
-    Attributes
-    ----------
-    half_axes_mm : tuple of float
-        Along x and z.
-    centre_mm : tuple of float
-        Centre of the ring from the footplate centre; its y is the height of the plane.
-    tilt_deg : tuple of float
-        Of the plane about x and z.
-    radial, tangential, normal : float
-        Stiffness per length against displacement in each direction, N/m per m.
-    loss_s : float
-        Damping over stiffness, with ``loss_ratios`` for radial, tangential and normal.
-    uneven : float
-        By how much the strength varies around the rim in its first and second harmonic (drawn by ``seed``).
-    warp_mm : float
-        Height of the second harmonic of the rim out of its plane.
-    pieces : int
-    """
-
-    half_axes_mm: tuple[float, float] = (1.4, 0.65)
+    half_axes_mm: tuple[float, float] = (1.4, 0.65)  # along x and z
+    # centre of the ring from the footplate centre; its y is the height of the plane
     centre_mm: tuple[float, float, float] = (-0.1, 0.1, 0.05)
-    tilt_deg: tuple[float, float] = (0.0, 0.0)
-    radial: float = 7.7e5
+    tilt_deg: tuple[float, float] = (0.0, 0.0)  # of the plane about x and z
+    radial: float = 7.7e5  # stiffness per length against displacement in each direction, N/m per m
     tangential: float = 2.7e5
     normal: float = 2.6e5
-    loss_s: float = 1.4e-5
+    loss_s: float = 1.4e-5  # damping over stiffness, with ``loss_ratios`` for radial, tangential and normal
     loss_ratios: tuple[float, float, float] = (1.1, 0.9, 1.0)
+    # by how much the strength varies around the rim in its first and second harmonic (drawn by ``seed``)
     uneven: float = 0.0
-    warp_mm: float = 0.0
+    warp_mm: float = 0.0  # height of the second harmonic of the rim out of its plane
     pieces: int = 90
     seed: int = 1
 

@@ -9,23 +9,16 @@ from numpy.typing import ArrayLike
 
 from simulate.solids import Moments, Solid
 from stapeskit.arrays import Array
-from stapeskit.spatial import TENSOR_PLACES, central_tensor, matrix_from_parameters
+from stapeskit.spatial import TENSOR_PLACES, matrix_from_parameters
 
 
 @dataclass(frozen=True, kw_only=True)
 class MassProperties:
-    """Mass, centre of mass and inertia of a body, in the axes of its solid.
-
-    Attributes
-    ----------
-    mass_kg : float
-    centre_of_mass_mm : ndarray, (3,)
-    inertia_about_com_kg_m2 : ndarray, (3, 3)
-    """
+    """Mass, centre of mass and inertia of a body, in the axes of its solid."""
 
     mass_kg: float
-    centre_of_mass_mm: Array
-    inertia_about_com_kg_m2: Array
+    centre_of_mass_mm: Array  # (3,)
+    inertia_about_com_kg_m2: Array  # (3, 3)
 
     def parameters(self, about_mm: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
         """Return the ten inertial parameters (stapeskit.spatial.PARAMETER_NAMES) about a point (3,), SI."""
@@ -61,15 +54,7 @@ def relative_density(height_mm: Array, ends_mm: tuple[float, float], gradient: f
 
 
 def graded_mass(solid: Solid, density_kg_m3: float, gradient: float) -> MassProperties:
-    """Return the mass properties of a body whose density changes linearly with its height y.
-
-    Parameters
-    ----------
-    solid : Solid
-    density_kg_m3 : float
-        Halfway up.
-    gradient : float
-        Relative change from there to either end.
+    """Return the mass properties of a body whose density changes with its height y, by a share to either end.
 
     Notes
     -----
@@ -84,11 +69,7 @@ def graded_mass(solid: Solid, density_kg_m3: float, gradient: float) -> MassProp
     centre = weights @ points / total
     arm = points - centre
     second = (weights[:, None] * arm).T @ arm
-    return MassProperties(
-        mass_kg=density_kg_m3 * 1e-9 * total,
-        centre_of_mass_mm=centre,
-        inertia_about_com_kg_m2=density_kg_m3 * 1e-15 * (np.trace(second) * np.eye(3) - second),
-    )
+    return uniform_mass(Moments(volume_mm3=total, centroid_mm=centre, second_mm5=second), density_kg_m3)
 
 
 def _quadrature(solid: Solid, count: int = 4) -> tuple[Array, Array]:
@@ -107,17 +88,8 @@ def _quadrature(solid: Solid, count: int = 4) -> tuple[Array, Array]:
 
 def point_mass(mass_kg: float, place_mm: ArrayLike) -> Array:
     """Return the ten inertial parameters of a point mass about the origin, SI."""
-    point = MassProperties(
-        mass_kg=mass_kg,
-        centre_of_mass_mm=np.asarray(place_mm, dtype=float),
-        inertia_about_com_kg_m2=np.zeros((3, 3)),
-    )
-    return point.parameters()
-
-
-def displaced(parameters: Array, shift_mm: ArrayLike) -> Array:
-    """Return the ten inertial parameters (10,) of the same body, displaced by a shift (3,)."""
-    mass, tensor = central_tensor(parameters)
-    centre = parameters[1:4] / mass * 1e3 + np.asarray(shift_mm, dtype=float)
-    body = MassProperties(mass_kg=mass, centre_of_mass_mm=centre, inertia_about_com_kg_m2=tensor)
-    return body.parameters()
+    centre = np.asarray(place_mm, dtype=float)
+    nothing = np.zeros((3, 3))
+    return MassProperties(
+        mass_kg=mass_kg, centre_of_mass_mm=centre, inertia_about_com_kg_m2=nothing
+    ).parameters()

@@ -29,82 +29,40 @@ _SLICE_OF_SEED = 1 << 20  # seeds of correlated noise lie beyond those of any sl
 
 @dataclass(frozen=True, kw_only=True)
 class Scan:
-    """How an ear is scanned. Blurs are in voxels; noise, fringes and rings in contrasts between bone and air.
+    """How an ear is scanned; blurs in voxels, noise, fringes and rings in contrasts between bone and air."""
 
-    Attributes
-    ----------
-    voxel_um : float or tuple of float
-        One number, or x, y, z.
-    shape : tuple of int or None
-        Voxels x, y, z; None: the smallest box with 0.25 mm around everything.
-    shift_mm : tuple of float
-        Shift of the ear in its volume (out of the field of view on purpose).
-    upright : str
-        Scan axis near the lateral direction.
-    tilt_deg : float
-        How far the ear may lean in the scanner, drawn by ``seed``.
-    rotation_vector_deg : tuple of float or None
-        scan_from_footplate, given instead of drawn.
-    blur_voxels, noise, noise_correlation_voxels
-        Sigma of the point spread; standard deviation of the noise; sigma of the blur of the noise.
-    cupping : float
-        Share of the contrast lost in the middle of the view: a parabola that vanishes at the border.
-    rings : float
-        Standard deviation of the height of rings about the rotation axis.
-    motion_voxels, jump_voxels
-        Blur along x; distance by which the ear has moved half way through the scan.
-    fringe : float
-        Share of the Laplacian that is subtracted (bright and dark edges of phase contrast).
-    gamma : float
-        Exponent of a tone curve from 0.2 contrasts below air to 0.5 above bone.
-    levels : tuple of float
-        Grey values of air, plastic and bone as 16 bit numbers.
-    soft : float
-        Contrast of soft tissue and fluid.
-    dtype : str
-        One of STORED.
-    window : tuple of float or None
-        Grey values (16 bit) of the lowest and the highest stored number: all beyond is clipped.
-    steps : int or None
-        Only so many different stored numbers.
-    round_field : bool
-        Only the circle within the slices is reconstructed; outside it is ``padding`` (a stored number).
-    mirror : str
-        Scan axis along which the slices are stored in reverse order, or empty.
-    samples : int or None
-        Sub-columns along each side of a voxel; None: 3 um apart, from 2 to 16.
-    format : str
-        One of simulate.files.volumes.WRITERS; empty: no scan is written.
-    seed : int
-        Of the pose, noise, rings and stated density.
-    """
-
-    voxel_um: float | tuple[float, float, float] = 25.0
+    voxel_um: float | tuple[float, float, float] = 25.0  # one number, or x, y, z
+    # voxels x, y, z; None: the smallest box with 0.25 mm around everything
     shape: tuple[int, int, int] | None = None
-    shift_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    upright: str = "z"
-    tilt_deg: float = 18.0
-    rotation_vector_deg: tuple[float, float, float] | None = None
+    upright: str = "z"  # scan axis near the lateral direction
+    tilt_deg: float = 18.0  # how far the ear may lean in the scanner, drawn by ``seed``
+    # sigma of the point spread; standard deviation of the noise; sigma of the blur of the noise
     blur_voxels: float = 1.2
     noise: float = 0.04
     noise_correlation_voxels: float = 0.0
+    # share of the contrast lost in the middle of the view: a parabola that vanishes at the border
     cupping: float = 0.0
-    rings: float = 0.0
+    rings: float = 0.0  # standard deviation of the height of rings about the rotation axis
+    # blur along x; distance by which the ear has moved half way through the scan
     motion_voxels: float = 0.0
     jump_voxels: float = 0.0
+    # share of the Laplacian that is subtracted (bright and dark edges of phase contrast)
     fringe: float = 0.0
-    gamma: float = 1.0
+    gamma: float = 1.0  # exponent of a tone curve from 0.2 contrasts below air to 0.5 above bone
+    # grey values of air, plastic and bone as 16 bit numbers
     levels: tuple[float, float, float] = (8000.0, 15000.0, 30000.0)
-    soft: float = 0.2
-    dtype: str = "uint16"
+    soft: float = 0.2  # contrast of soft tissue and fluid
+    dtype: str = "uint16"  # one of STORED
+    # grey values (16 bit) of the lowest and the highest stored number: all beyond is clipped
     window: tuple[float, float] | None = None
-    steps: int | None = None
+    steps: int | None = None  # only so many different stored numbers
+    # only the circle within the slices is reconstructed; outside it is ``padding`` (a stored number)
     round_field: bool = False
     padding: float = 0.0
-    mirror: str = ""
-    samples: int | None = None
-    format: str = "tif"
-    seed: int = 1
+    mirror: str = ""  # scan axis along which the slices are stored in reverse order, or empty
+    samples: int | None = None  # sub-columns along each side of a voxel; None: 3 um apart, from 2 to 16
+    format: str = "tif"  # one of simulate.files.volumes.WRITERS; empty: no scan is written
+    seed: int = 1  # of the pose, noise, rings and stated density
 
     @property
     def voxel_mm(self) -> Array:
@@ -114,11 +72,8 @@ class Scan:
     def placed(self, ear: Ear) -> Placed:
         """Return the ear placed in the scan."""
         rng = np.random.default_rng(self.seed)
-        if self.rotation_vector_deg is None:
-            rotation = _UPRIGHT[self.upright] @ _random_tilt(rng, self.tilt_deg)
-        else:
-            rotation = rotation_from_vector(np.radians(self.rotation_vector_deg))
-        return place(ear, self.voxel_mm, rotation, rng, self.shape, self.shift_mm)
+        rotation = _UPRIGHT[self.upright] @ _random_tilt(rng, self.tilt_deg)
+        return place(ear, self.voxel_mm, rotation, rng, self.shape)
 
     def stored_levels(self) -> list[float]:
         """Return the grey values of air, plastic and bone as they stand in the file, before rounding."""

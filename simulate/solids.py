@@ -20,34 +20,19 @@ Faces = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True)
 class Moments:
-    """Exact moments of a body of uniform weight.
-
-    Attributes
-    ----------
-    volume_mm3 : float
-    centroid_mm : ndarray, (3,)
-    second_mm5 : ndarray, (3, 3)
-        Integral of (r - c)(r - c)^T dV about the centroid.
-    """
+    """Exact moments of a body of uniform weight."""
 
     volume_mm3: float
-    centroid_mm: Array
-    second_mm5: Array
+    centroid_mm: Array  # (3,)
+    second_mm5: Array  # (3, 3): Integral of (r - c)(r - c)^T dV about the centroid
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A closed triangle mesh.
-
-    Attributes
-    ----------
-    vertices_mm : ndarray, (n, 3)
-    faces : ndarray of int, (m, 3)
-        Counter-clockwise seen from outside.
-    """
+    """A closed triangle mesh."""
 
     vertices_mm: Array
-    faces: Faces
+    faces: Faces  # counter-clockwise seen from outside
 
     def moved(self, transform: RigidTransform) -> Solid:
         """Return the solid in another frame."""
@@ -110,17 +95,8 @@ def box(low_mm: ArrayLike, high_mm: ArrayLike) -> Solid:
 
 def ring(inner_mm: Array, outer_mm: Array, low_mm: float, high_mm: float) -> Solid:
     """Return the solid between two outlines (n, 2) of (x, z), from y = low to y = high."""
-    count = len(inner_mm)
     levels = [(inner_mm, low_mm), (outer_mm, low_mm), (outer_mm, high_mm), (inner_mm, high_mm)]
-    vertices = np.concatenate([np.insert(part, 1, y, axis=1) for part, y in levels])
-    here = np.arange(count)
-    there = (here + 1) % count
-    faces = []
-    for level in range(4):
-        a, b = level * count, ((level + 1) % 4) * count
-        faces.append(np.column_stack([a + here, a + there, b + there]))
-        faces.append(np.column_stack([a + here, b + there, b + here]))
-    return outward(vertices, np.concatenate(faces))
+    return _swept([np.insert(part, 1, y, axis=1) for part, y in levels])
 
 
 def rod(start_mm: ArrayLike, end_mm: ArrayLike, radius_mm: float, sides: int = 48) -> Solid:
@@ -132,44 +108,42 @@ def rod(start_mm: ArrayLike, end_mm: ArrayLike, radius_mm: float, sides: int = 4
     other = np.cross(axis / np.linalg.norm(axis), across)
     turns = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
     circle = radius_mm * (np.cos(turns)[:, None] * across + np.sin(turns)[:, None] * other)
-    vertices = np.concatenate([circle + start, circle + end, [start], [end]])
-    here = np.arange(sides)
-    there = (here + 1) % sides
-    faces = np.concatenate(
-        [
-            np.column_stack([here, there, there + sides]),
-            np.column_stack([here, there + sides, here + sides]),
-            np.column_stack([np.full(sides, 2 * sides), there, here]),
-            np.column_stack([np.full(sides, 2 * sides + 1), here + sides, there + sides]),
-        ]
-    )
-    return outward(vertices, faces)
+    return _swept([circle + start, circle + end], (start, end))
 
 
 def ellipsoid(centre_mm: ArrayLike, radii_mm: ArrayLike, steps: int = 48) -> Solid:
     """Return an ellipsoid with its axes along x, y and z, as a mesh of ``steps`` by ``steps`` / 2 patches."""
     around = np.linspace(0.0, 2.0 * np.pi, steps, endpoint=False)
+    circle = np.column_stack([np.cos(around), np.zeros(steps), np.sin(around)])
+    pole, radii, centre = np.array([0.0, 1.0, 0.0]), np.asarray(radii_mm), np.asarray(centre_mm)
     down = np.linspace(0.0, np.pi, steps // 2 + 1)[1:-1]
-    belt = np.stack(
-        [
-            np.sin(down)[:, None] * np.cos(around),
-            np.broadcast_to(np.cos(down)[:, None], (len(down), steps)),
-            np.sin(down)[:, None] * np.sin(around),
-        ],
-        axis=-1,
-    ).reshape(-1, 3)
-    poles = [[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]
-    vertices = np.concatenate([belt, poles]) * np.asarray(radii_mm) + np.asarray(centre_mm)
-    north, south = len(belt), len(belt) + 1
-    here = np.arange(steps)
-    there = (here + 1) % steps
-    faces = [np.column_stack([np.full(steps, north), there, here])]
-    for row in range(len(down) - 1):
-        a, b = row * steps, (row + 1) * steps
-        faces.append(np.column_stack([a + here, a + there, b + there]))
-        faces.append(np.column_stack([a + here, b + there, b + here]))
-    last = (len(down) - 1) * steps
-    faces.append(np.column_stack([np.full(steps, south), last + here, last + there]))
+    belts = [(np.sin(angle) * circle + np.cos(angle) * pole) * radii + centre for angle in down]
+    return _swept(belts, (pole * radii + centre, -pole * radii + centre))
+
+
+def _swept(levels: Sequence[Array], ends: tuple[Array, Array] | None = None) -> Solid:
+    """Return the solid within closed lines (n, 3) one after the other.
+
+    The last line is followed by the first, or both are closed by a point.
+    """
+    count = len(levels[0])
+    here = np.arange(count)
+    there = (here + 1) % count
+    faces = []
+    for level in range(len(levels) - (ends is not None)):
+        a, b = level * count, (level + 1) % len(levels) * count
+        faces += [
+            np.column_stack([a + here, a + there, b + there]),
+            np.column_stack([a + here, b + there, b + here]),
+        ]
+    vertices = np.concatenate(levels)
+    if ends is not None:
+        first, last = np.full(count, len(vertices)), (len(levels) - 1) * count
+        faces += [
+            np.column_stack([first, there, here]),
+            np.column_stack([first + 1, last + here, last + there]),
+        ]
+        vertices = np.concatenate([vertices, ends])
     return outward(vertices, np.concatenate(faces))
 
 

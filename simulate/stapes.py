@@ -45,34 +45,17 @@ SIDES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Stapes:
-    """Which stapes, and how it is deformed.
+    """Which stapes, and how it is deformed."""
 
-    Attributes
-    ----------
-    family : str
-        One of STAPES: ``openear`` (a real one), ``analytic`` (symmetric, frame known by construction),
-        ``gutter`` (crura of 80 um walls), or ``foreign `` with one of simulate.foreign.FAMILIES.
-    scale : float
-        Of all lengths.
-    stretch : tuple of float
-        Of x, y, z.
-    warp : float
-        Amplitude of a smooth random displacement, mm.
-    mirrored : bool
-        A right ear: z reversed.
-    seed : int
-        Of the warp and of a foreign anatomy.
-    step_mm : float
-        Mesh of the made ones.
-    """
-
+    # one of STAPES: ``openear`` (a real one), ``analytic`` (symmetric, frame known by construction),
+    # ``gutter`` (crura of 80 um walls), or ``foreign `` with one of simulate.foreign.FAMILIES
     family: str = "openear"
-    scale: float = 1.0
-    stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    warp: float = 0.0
-    mirrored: bool = False
-    seed: int = 1
-    step_mm: float = 0.04
+    scale: float = 1.0  # of all lengths
+    stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)  # of x, y, z
+    warp: float = 0.0  # amplitude of a smooth random displacement, mm
+    mirrored: bool = False  # A right ear: z reversed
+    seed: int = 1  # of the warp and of a foreign anatomy
+    step_mm: float = 0.04  # mesh of the made ones
 
 
 @functools.lru_cache(maxsize=512)

@@ -34,25 +34,14 @@ _MADE = f"SIMULATED: the stapes is a made one; {_SIMULATED}"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Truth:
-    """The exact truth of a simulated study: everything follows from the ear and its place in the scan.
-
-    Attributes
-    ----------
-    ear : Ear
-    placed : Placed
-        The ear in the scan.
-    scan : Scan
-    recording : Recording or None
-        The measurement with the true motion and the channels at fault; None when only scanned.
-    study : Path or None
-        The study file, when one was written.
-    """
+    """The exact truth of a simulated study: everything follows from the ear and its place in the scan."""
 
     ear: Ear
-    placed: Placed
+    placed: Placed  # the ear in the scan
     scan: Scan
+    # the measurement with the true motion and the channels at fault; None when only scanned
     recording: Recording | None = None
-    study: Path | None = None
+    study: Path | None = None  # the study file, when one was written
 
     @cached_property
     def mass(self) -> MassProperties:

@@ -24,76 +24,45 @@ NOISE_COLUMNS = ("sd", "coherence", "n_avg", "none")
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """How an ear is shaken and measured.
+    """How an ear is shaken and measured."""
 
-    Attributes
-    ----------
-    lines, band_hz, log : int, tuple of float, bool
-        Frequencies, evenly or logarithmically spaced.
-    excitations : tuple of str
-        Main direction (x, y or z) of the shaker in each run.
-    repeats : bool
-        Runs of one direction are stated as repeats of one run; ldv.csv alone can say so.
-    others : float
-        How much the bone moves in its other degrees of freedom, 1: rocking and in-plane motion as usual.
-    stapes_points, bone_points : int
-    lasers : int
-        On a cone of ``beam_cone_deg`` around the optical axis; one laser looks along the axis.
-    head_distance_mm : float or None
-        Distance of the laser heads, so that no two beams of one are parallel; None: parallel beams.
-    in_footplate : bool
-        Positions and directions are given in footplate axes; else in coordinates of the vibrometer.
-    noise : float
-        Standard deviation of a channel's real part over its root mean square; each channel has its own,
-        between ``noise_spread`` times this.
-    common_noise : float
-        Relative noise that all channels of a line share: that of the signal they refer to.
-    stated : str
-        What the file says of the noise, one of NOISE_COLUMNS.
-    averages : int
-        Stated with ``coherence`` and ``n_avg``.
-    position_sd_mm, fiducial_sd_mm : float
-        Error with which points and fiducials are known, per coordinate.
-    marks_in_scan : bool
-        Fiducials are stated as read off the scan; else as in the drawing of the plate, where there is one.
-    missing, missing_band : float, bool
-        Share of single values that are missing; one channel is missing over half of the lines.
-    faults : tuple of MeasurementFault
-    mirror : str
-        Axis of the vibrometer's coordinates that points the wrong way (a left-handed scanner), or empty.
-    exact : bool
-        Leave all random errors away: the data obey the equation of motion to rounding.
-    format : str
-        One of simulate.files.recordings.WRITERS.
-    seed : int
-    """
-
-    lines: int = 200
+    lines: int = 200  # frequencies, evenly or logarithmically spaced
     band_hz: tuple[float, float] = (400.0, 5000.0)
     log: bool = False
-    excitations: tuple[str, ...] = ("y",)
+    excitations: tuple[str, ...] = ("y",)  # main direction (x, y or z) of the shaker in each run
+    # runs of one direction are stated as repeats of one run; ldv.csv alone can say so
     repeats: bool = False
+    # how much the bone moves in its other degrees of freedom, 1: rocking and in-plane motion as usual
     others: float = 1.0
     stapes_points: int = 10
     bone_points: int = 9
+    # on a cone of ``beam_cone_deg`` around the optical axis; one laser looks along the axis
     lasers: int = 3
     beam_cone_deg: float = 20.0
+    # distance of the laser heads, so that no two beams of one are parallel; None: parallel beams
     head_distance_mm: float | None = None
+    # positions and directions are given in footplate axes; else in coordinates of the vibrometer
     in_footplate: bool = False
+    # standard deviation of a channel's real part over its root mean square; each channel has its own,
+    # between ``noise_spread`` times this
     noise: float = 0.01
     noise_spread: tuple[float, float] = (0.6, 1.6)
+    # relative noise that all channels of a line share: that of the signal they refer to
     common_noise: float = 0.0
-    stated: str = "sd"
-    averages: int = 16
-    position_sd_mm: float = 0.01
+    stated: str = "sd"  # what the file says of the noise, one of NOISE_COLUMNS
+    averages: int = 16  # stated with ``coherence`` and ``n_avg``
+    position_sd_mm: float = 0.01  # error with which points and fiducials are known, per coordinate
     fiducial_sd_mm: float = 0.01
+    # fiducials are stated as read off the scan; else as in the drawing of the plate, where there is one
     marks_in_scan: bool = False
+    # share of single values that are missing; one channel is missing over half of the lines
     missing: float = 0.0
     missing_band: bool = False
     faults: tuple[MeasurementFault, ...] = ()
+    # axis of the vibrometer's coordinates that points the wrong way (a left-handed scanner), or empty
     mirror: str = ""
-    exact: bool = False
-    format: str = "csv"
+    exact: bool = False  # leave all random errors away: the data obey the equation of motion to rounding
+    format: str = "csv"  # one of simulate.files.recordings.WRITERS
     seed: int = 1
 
     @property
@@ -114,54 +83,27 @@ class Experiment:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """What the vibrometer writes, in its own coordinates, and what was wrong with it.
-
-    Attributes
-    ----------
-    runs : tuple of str, (R,)
-    freq_hz : ndarray, (L,)
-    body, point : tuple of str, (C,)
-    laser : ndarray of int, (C,)
-    position_mm, direction : ndarray, (C, 3)
-        As reported.
-    velocity_m_s : ndarray, (R, C, L), complex
-        NaN where missing.
-    sd_m_s : ndarray, (R, C, L)
-        True standard deviation of the real (= imaginary) part, but for faults.
-    stated : str
-        What the file says of it.
-    averages : int
-    position_sd_mm, fiducial_sd_mm : float
-        0 for exact data.
-    fiducials : tuple of (name, place seen (3,), reference (3,)), mm
-    fiducial_frame : str
-        Frame of the references.
-    frame : str
-        ``vibrometer`` or ``footplate``: coordinates of positions and directions.
-    culprits : mapping of int to str
-        Channels at fault, each with the right verdict.
-    motion_m : mapping of str to ndarray, (R, L, 6), complex
-        True motion of each body about the footplate centre in footplate axes, m and rad.
-    vibrometer_from_footplate : RigidTransform
-    """
+    """What the vibrometer writes, in its own coordinates, and what was wrong with it."""
 
     runs: tuple[str, ...]
-    freq_hz: Array
+    freq_hz: Array  # (L,)
     body: tuple[str, ...]
     point: tuple[str, ...]
-    laser: Array
-    position_mm: Array
+    laser: Array  # (C,)
+    position_mm: Array  # (C, 3): As reported
     direction: Array
-    velocity_m_s: ComplexArray
-    sd_m_s: Array
-    stated: str = "sd"
+    velocity_m_s: ComplexArray  # (R, C, L): NaN where missing
+    sd_m_s: Array  # (R, C, L): True standard deviation of the real (= imaginary) part, but for faults
+    stated: str = "sd"  # what the file says of it
     averages: int = 16
-    position_sd_mm: float = 0.0
+    position_sd_mm: float = 0.0  # 0 for exact data
     fiducial_sd_mm: float = 0.0
     fiducials: tuple[tuple[str, Array, Array], ...] = ()
-    fiducial_frame: str = "plate"
-    frame: str = "vibrometer"
+    fiducial_frame: str = "plate"  # frame of the references
+    frame: str = "vibrometer"  # ``vibrometer`` or ``footplate``: coordinates of positions and directions
+    # channels at fault, each with the right verdict
     culprits: Mapping[int, str] = field(default_factory=dict)
+    # (R, L, 6): True motion of each body about the footplate centre in footplate axes, m and rad
     motion_m: Mapping[str, ComplexArray] = field(default_factory=dict)
     vibrometer_from_footplate: RigidTransform
 

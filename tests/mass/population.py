@@ -67,7 +67,7 @@ def draw(seed: int) -> tuple[Ear, Scan]:
         mirrored=bool(rng.random() < 0.5),
         seed=seed,
     )
-    ear = Ear(stapes=stapes, gap_mm=float(rng.uniform(0.08, 0.25)), density_sd=0.002, seed=seed)
+    ear = Ear(stapes=stapes, gap_mm=float(rng.uniform(0.08, 0.25)), density_sd=0.002)
     scan = Scan(
         voxel_um=float(rng.uniform(20.0, 40.0)),
         blur_voxels=float(rng.uniform(0.9, 1.5)),
