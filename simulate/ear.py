@@ -52,8 +52,7 @@ class Ear:
     bridge_radius_mm: float = 0.05
     bone: bool = True  # bone around the window
     plate: bool = True  # the plastic plate below
-    # distance of the plate from the nearest point of the stapes, negative: sunk into the plate; None: the usual
-    # distance from the footplate centre
+    # distance of the plate from the nearest point of the stapes, negative: sunk into the plate; None: usual
     plate_gap_mm: float | None = None
     # distance of the incus from the head; negative: grown together; None: incus removed
     incus_gap_mm: float | None = None

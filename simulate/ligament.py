@@ -161,23 +161,10 @@ def draw_ring(rng: np.random.Generator, height_mm: float = 0.1, tilt_sd_deg: flo
 def stapes_motion(
     freq_hz: Array, base: ComplexArray, mass_si: Array, ligament: Ligament, run: int = 0
 ) -> ComplexArray:
-    """Return the motion of the stapes that the base drives through the ligament.
+    """Return the motion (L, 6), m and rad, of all that moves, (6, 6), when the base (L, 6) drives it.
 
-    Parameters
-    ----------
-    freq_hz : ndarray, (L,)
-    base : ndarray, (L, 6), complex
-        Motion of the bone at the footplate centre, m and rad.
-    mass_si : ndarray, (6, 6)
-        All that moves with the stapes.
-    ligament : Ligament
-    run : int
-
-    Returns
-    -------
-    ndarray, (L, 6), complex
-        It obeys w^2 (M_rr q_r + M_rc q_c) = Z (q_r - b_r), the paper's Eq. 2, in the degrees of freedom r of
-        the ligament; the others, c, move with the base, and their inertia loads the ligament.
+    It obeys w^2 (M_rr q_r + M_rc q_c) = Z (q_r - b_r), the paper's Eq. 2, in the degrees of freedom r of the
+    ligament; the others, c, move with the base, and their inertia loads the ligament.
     """
     r = dof_indices(ligament.dof)
     c = [place for place in range(6) if place not in r]

@@ -6,28 +6,49 @@ maps the reported places and directions by the true pose of the vibrometer, and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from simulate.vibrometer import Recording, rows_of
+from simulate.vibrometer import Recording
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.frames import cross_matrix, rotation_from_vector
+from stapeskit.frames import RigidTransform, cross_matrix, rotation_from_vector
 from stapeskit.records.rigid_motion import RigidMotion, SharedErrors
-from stapeskit.spatial import DOF_NAMES, dof_indices, shifted_point_rows, twist_transfer
+from stapeskit.spatial import DOF_NAMES, dof_indices, point_rows, shifted_point_rows, twist_transfer
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class _BodyFit:
-    """Least squares of one body: q (R, L, n), its covariance, and what else a derivative needs."""
+    """Weighted least squares of one body: q (R, L, n) and its covariance; missing values have no weight."""
 
-    channels: list[int]
-    beams: Array
-    rows: Array
-    q: ComplexArray
-    residual: ComplexArray
-    weight: Array
-    normal_inverse: Array
+    def __init__(self, recording: Recording, body: str, dof: tuple[str, ...]) -> None:
+        own = recording.channels(body)
+        back = RigidTransform.identity("footplate", "footplate")
+        if recording.frame != "footplate":
+            back = recording.vibrometer_from_footplate.inverse()
+        self.points = np.array([recording.point[channel] for channel in own])
+        self.used = dof_indices(dof)
+        self.beams = back.vectors(recording.direction[own])
+        self.rows = point_rows(back.points(recording.position_mm[own]) * 1e-3, self.beams)[:, self.used]
+        omega = 2.0 * np.pi * recording.freq_hz
+        values = recording.velocity_m_s[:, own] / (1j * omega)
+        missing = np.isnan(values)
+        self.weight = np.where(missing, 0.0, (recording.sd_m_s[:, own] / omega) ** -2.0)
+        values = np.where(missing, 0.0, values)
+        normal = np.einsum("ci,rcl,cj->rlij", self.rows, self.weight, self.rows)
+        self.normal_inverse = np.linalg.inv(normal)
+        right = np.einsum("ci,rcl,rcl->rli", self.rows, self.weight, values)
+        self.q = np.einsum("rlij,rlj->rli", self.normal_inverse, right)
+        self.residual = values - np.einsum("ci,rli->rcl", self.rows, self.q)
+
+    def slope_of_place(self, point: str, axis: int) -> ComplexArray:
+        """Return the derivative (R, L, n) of q by the reported place of a point along an axis, per m.
+
+        dq = N^-1 (dA^T W r - A^T W dA q), from the normal equations N q = A^T W y.
+        """
+        own = self.points == point
+        step = shifted_point_rows(self.beams, np.eye(3)[axis])[:, self.used] * own[:, None]
+        seen = np.einsum("ci,rli->rcl", step, self.q)
+        change = np.einsum("ci,rcl,rcl->rli", step, self.weight, self.residual)
+        change -= np.einsum("ci,rcl,rcl->rli", self.rows, self.weight, seen)
+        return np.asarray(np.einsum("rlij,rlj->rli", self.normal_inverse, change))
 
 
 def motion_of(
@@ -56,7 +77,7 @@ def motion_of(
         positions, and ``registration.DOF``.
     """
     bodies = tuple(dict.fromkeys(recording.body))
-    fits = [_fit(recording, body, dof) for body in bodies]
+    fits = [_BodyFit(recording, body, dof) for body in bodies]
     used = np.ix_(dof_indices(dof), dof_indices(dof))
     spread = np.repeat(np.asarray(registration_sd, dtype=float), 3)
     error = spread * np.random.default_rng([seed, 47]).standard_normal(6)
@@ -65,28 +86,24 @@ def motion_of(
     covariance = np.stack([frame @ fit.normal_inverse @ frame.T * 2.0 for fit in fits], axis=1)
     chi2 = np.stack([np.sum(np.abs(fit.residual) ** 2 * fit.weight, axis=1) for fit in fits], axis=1)
     count = np.stack([np.count_nonzero(fit.weight, axis=1) for fit in fits], axis=1)
-    names, sds, slopes, maps = [], [], [], []
-    none = np.full((len(bodies), 6, 6), np.nan + 0j)
+    names, sds, slopes, maps = list[str](), list[float](), list[ComplexArray](), list[ComplexArray]()
     for place, (body, fit) in enumerate(zip(bodies, fits, strict=True)):
-        if not recording.position_sd_mm:
-            continue
-        for point in dict.fromkeys(recording.point[channel] for channel in fit.channels):
+        for point in dict.fromkeys(fit.points.tolist()) if recording.position_sd_mm else ():
             for axis in range(3):
                 change = np.zeros(q.shape, dtype=complex)
-                own = [recording.point[channel] == point for channel in fit.channels]
-                change[:, place] = _slope_of_place(fit, np.array(own), axis, dof) @ frame.T
+                change[:, place] = fit.slope_of_place(point, axis) @ frame.T
                 names.append(f"position.{body}_{point}_{'xyz'[axis]}")
                 sds.append(recording.position_sd_mm * 1e-3)
                 slopes.append(change)
-                maps.append(none)
+                maps.append(np.full((len(bodies), 6, 6), np.nan, dtype=complex))
     for place, name in enumerate(DOF_NAMES):
         if not spread[place]:
             continue
         step = _frame_slope(place)
         names.append(f"registration.{name}")
         sds.append(spread[place])
-        slopes.append(q @ step[used].T)
-        maps.append(np.broadcast_to(step + 0j, none.shape))
+        slopes.append(np.asarray(q @ step[used].T))
+        maps.append(np.broadcast_to(step + 0j, (len(bodies), 6, 6)))
     shared = None
     if names:
         powers = np.zeros(len(names), dtype=int)
@@ -113,39 +130,3 @@ def _frame_slope(place: int) -> Array:
     step[:3, :3] = step[3:, 3:] = -cross_matrix(unit[3:])
     step[:3, 3:] = -cross_matrix(unit[:3])
     return step
-
-
-def _fit(recording: Recording, body: str, dof: tuple[str, ...]) -> _BodyFit:
-    """Solve weighted least squares at every line of every run; missing values have no weight."""
-    channels, rows = rows_of(recording, body)
-    beams, rows = rows[:, :3], rows[:, dof_indices(dof)]
-    omega = 2.0 * np.pi * recording.freq_hz
-    values = recording.velocity_m_s[:, channels] / (1j * omega)
-    missing = np.isnan(values)
-    weight = np.where(missing, 0.0, (recording.sd_m_s[:, channels] / omega) ** -2.0)
-    values = np.where(missing, 0.0, values)
-    normal_inverse = np.linalg.inv(np.einsum("ci,rcl,cj->rlij", rows, weight, rows))
-    right = np.einsum("ci,rcl,rcl->rli", rows, weight, values)
-    q = np.einsum("rlij,rlj->rli", normal_inverse, right)
-    residual = values - np.einsum("ci,rli->rcl", rows, q)
-    return _BodyFit(
-        channels=channels,
-        beams=beams,
-        rows=rows,
-        q=q,
-        residual=residual,
-        weight=weight,
-        normal_inverse=normal_inverse,
-    )
-
-
-def _slope_of_place(fit: _BodyFit, own: Array, axis: int, dof: tuple[str, ...]) -> ComplexArray:
-    """Return the derivative (R, L, n) of q by the reported place of a point along an axis, per m.
-
-    dq = N^-1 (dA^T W r - A^T W dA q), from the normal equations N q = A^T W y.
-    """
-    step = shifted_point_rows(fit.beams, np.eye(3)[axis])[:, dof_indices(dof)] * own[:, None]
-    seen = np.einsum("ci,rli->rcl", step, fit.q)
-    change = np.einsum("ci,rcl,rcl->rli", step, fit.weight, fit.residual)
-    change -= np.einsum("ci,rcl,rcl->rli", fit.rows, fit.weight, seen)
-    return np.asarray(np.einsum("rlij,rlj->rli", fit.normal_inverse, change))

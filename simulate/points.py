@@ -10,20 +10,9 @@ from stapeskit.arrays import Array
 
 
 def visible_points(solid: Solid, count: int, beams: Array) -> Array:
-    """Return vertices that all lasers reach, spread over head, crura and footplate.
+    """Return vertices (count, 3), mm, that all lasers reach, spread over head, crura and footplate.
 
-    Parameters
-    ----------
-    solid : Solid
-        In the footplate frame.
-    count : int
-    beams : ndarray, (n, 3)
-        Unit vectors towards the laser heads, in footplate axes.
-
-    Returns
-    -------
-    ndarray, (count, 3)
-        mm.
+    ``beams`` (n, 3) are unit vectors towards the laser heads; all in footplate axes.
     """
     normals, corners = vertex_normals(solid), solid.vertices_mm[solid.faces]
     facing = np.all(normals @ beams.T > 0.2, axis=1)

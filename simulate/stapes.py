@@ -21,10 +21,8 @@ from stapeskit.frames import RigidTransform
 
 _HERE = Path(__file__).resolve().parent
 # Beside this file in an installed package, with the samples in the source tree.
-OPENEAR_PLY = next(
-    (path for path in (_HERE / "openear_stapes.ply",) if path.is_file()),
-    _HERE.parent / "sample_volumes" / "openear_stapes.ply",
-)
+_PLACES = [folder / "openear_stapes.ply" for folder in (_HERE, _HERE.parent / "sample_volumes")]
+OPENEAR_PLY = next((path for path in _PLACES if path.is_file()), _PLACES[0])
 # Where its footplate frame lies in the file's coordinates, by the definition in `simulate.footplate`.
 _FILE_FROM_FOOTPLATE = (
     (0.13475956035202305, -0.49824303701220585, -0.8565008680454349, 0.6718597062233791),
@@ -32,15 +30,6 @@ _FILE_FROM_FOOTPLATE = (
     (0.743691890224248, 0.6220667739214772, -0.24485771623048996, -0.6193550590240757),
     (0.0, 0.0, 0.0, 1.0),
 )
-SIDES = {
-    "anterior": (1.4, 0.15, 0.0),
-    "posterior": (-1.4, 0.15, 0.0),
-    "superior": (0.0, 0.15, 0.68),
-    "inferior": (0.0, 0.15, -0.68),
-    "head": (0.1, 3.1, 0.1),
-    "footplate_centre": (0.0, 0.0, 0.0),
-}
-"""Landmarks that the parts of the made stapes (``analytic``, ``gutter``) are named by, left ear, mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,13 +49,7 @@ class Stapes:
 
 @functools.lru_cache(maxsize=512)
 def stapes_solid(stapes: Stapes) -> Solid:
-    """Return the exact mesh of a stapes in its own footplate frame, mm.
-
-    Raises
-    ------
-    ValueError
-        The family is unknown.
-    """
+    """Return the exact mesh of a stapes in its own footplate frame, mm."""
     plain = replace(stapes, scale=1.0, stretch=(1.0, 1.0, 1.0), warp=0.0, mirrored=False)
     if plain == stapes:
         return _in_own_frame(stapes)
@@ -81,8 +64,6 @@ def stapes_solid(stapes: Stapes) -> Solid:
 
 
 def _in_own_frame(stapes: Stapes) -> Solid:
-    if stapes.family not in STAPES:
-        raise ValueError(f"the family must be one of {', '.join(STAPES)}; got {stapes.family}.")
     if stapes.family == "openear":
         frame = RigidTransform(np.array(_FILE_FROM_FOOTPLATE), "file", "footplate")
         return read_ply(OPENEAR_PLY).moved(frame.inverse())

@@ -177,26 +177,24 @@ def simulate_study(
 
     Parameters
     ----------
-    ear : Ear
     scan : Scan or None
         None: nothing is scanned, as with an empty ``format``; the truth is that of a usual scan.
     experiment : Experiment or None
         None: the measurement is left away.
-    folder : Path
-        Made when missing.
-    name : str
     about, fit : mapping, optional
         Further keys of [study] and [fit].
 
-    Returns
-    -------
-    Truth
-        Also in truth.json. With a density gradient the scan's calibration.toml lies beside.
+    Notes
+    -----
+    With a density gradient the scan's calibration.toml lies beside.
     """
     folder.mkdir(parents=True, exist_ok=True)
     scan = scan or Scan(format="")
     truth = simulate_truth(ear, scan)
-    tables: dict[str, dict[str, Any]] = {"study": _about(ear, name, about), "scan": {}}
+    state = "Incus removed" if ear.incus_gap_mm is None else "Incus attached"
+    notes = f"{_REAL if ear.stapes.family == 'openear' else _MADE} {state}, cochlea open."
+    heading = {"name": name, "notes": notes, "truth": "truth.json", **(about or {})}
+    tables: dict[str, dict[str, Any]] = {"study": heading, "scan": {}}
     if scan.format:
         tables["scan"] = {"file": write_scan(folder, truth.placed, scan).name}
         if scan.format in WITHOUT_SPACING:
@@ -218,15 +216,13 @@ def simulate_study(
         line = f"points = [[{air:g}, 0], [{bone:g}, {ear.density_kg_m3:g}]]\n"
         (folder / "calibration.toml").write_text(line, encoding="utf-8")
     study = folder / "study.toml"
-    study.write_text(study_text(tables), encoding="utf-8")
+    parts = [
+        "\n".join([f"[{name}]", *(f"{key} = {toml(value)}" for key, value in table.items())])
+        for name, table in tables.items()
+    ]
+    study.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
     (folder / "truth.json").write_text(json.dumps(truth.to_json(), indent=1) + "\n", encoding="utf-8")
     return replace(truth, recording=recording, study=study)
-
-
-def _about(ear: Ear, name: str, about: Mapping[str, Any] | None) -> dict[str, Any]:
-    state = "Incus removed" if ear.incus_gap_mm is None else "Incus attached"
-    notes = f"{_REAL if ear.stapes.family == 'openear' else _MADE} {state}, cochlea open."
-    return {"name": name, "notes": notes, "truth": "truth.json", **(about or {})}
 
 
 def _scan_keys(truth: Truth, scan: Scan) -> dict[str, Any]:
@@ -238,12 +234,3 @@ def _scan_keys(truth: Truth, scan: Scan) -> dict[str, Any]:
         "anterior": anterior,
     }
     return keys | ({"mirror": scan.mirror} if scan.mirror else {})
-
-
-def study_text(tables: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return tables of words, numbers and lists as TOML."""
-    parts = [
-        "\n".join([f"[{name}]", *(f"{key} = {toml(value)}" for key, value in table.items())])
-        for name, table in tables.items()
-    ]
-    return "\n\n".join(parts) + "\n"

@@ -6,7 +6,7 @@ Signals are e^{+i w t}, velocities are peak; a channel reads v . d with d the un
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from simulate.points import bone_points, visible_points
 from simulate.shaker import base_motion
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import RigidTransform, rotation_from_vector
-from stapeskit.spatial import point_rows
 
 NOISE_COLUMNS = ("sd", "coherence", "n_avg", "none")
 
@@ -26,9 +25,8 @@ NOISE_COLUMNS = ("sd", "coherence", "n_avg", "none")
 class Experiment:
     """How an ear is shaken and measured."""
 
-    lines: int = 200  # frequencies, evenly or logarithmically spaced
+    lines: int = 200  # frequencies, evenly spaced
     band_hz: tuple[float, float] = (400.0, 5000.0)
-    log: bool = False
     excitations: tuple[str, ...] = ("y",)  # main direction (x, y or z) of the shaker in each run
     # runs of one direction are stated as repeats of one run; ldv.csv alone can say so
     repeats: bool = False
@@ -47,8 +45,6 @@ class Experiment:
     # between ``noise_spread`` times this
     noise: float = 0.01
     noise_spread: tuple[float, float] = (0.6, 1.6)
-    # relative noise that all channels of a line share: that of the signal they refer to
-    common_noise: float = 0.0
     stated: str = "sd"  # what the file says of the noise, one of NOISE_COLUMNS
     averages: int = 16  # stated with ``coherence`` and ``n_avg``
     position_sd_mm: float = 0.01  # error with which points and fiducials are known, per coordinate
@@ -68,8 +64,7 @@ class Experiment:
     @property
     def freq_hz(self) -> Array:
         """Frequencies (L,), Hz."""
-        space = np.geomspace if self.log else np.linspace
-        return np.asarray(space(*self.band_hz, self.lines))
+        return np.linspace(*self.band_hz, self.lines)
 
     @property
     def runs(self) -> tuple[str, ...]:
@@ -121,20 +116,10 @@ class Recording:
 def measure(
     ear: Ear,
     experiment: Experiment,
-    footplate_from_reference: RigidTransform | None = None,
-    fiducials_mm: Mapping[str, Array] | None = None,
+    footplate_from_reference: RigidTransform,
+    fiducials_mm: Mapping[str, Array],
 ) -> Recording:
-    """Shake an ear and measure it.
-
-    Parameters
-    ----------
-    ear : Ear
-    experiment : Experiment
-    footplate_from_reference : RigidTransform, optional
-        True pose of the frame of the fiducials; the footplate frame itself when not given.
-    fiducials_mm : mapping of str to ndarray, (3,), optional
-        True places of the fiducials in that frame; none when not given.
-    """
+    """Shake an ear and measure it, and fiducials at true places in a reference frame."""
     freq_hz, mass = experiment.freq_hz, ear.moving_mass_si()
     bases = [base_motion(freq_hz, name, experiment.others) for name in experiment.excitations]
     stapes = [stapes_motion(freq_hz, base, mass, ear.ligament, run) for run, base in enumerate(bases)]
@@ -146,8 +131,7 @@ def measure(
         "stapes": visible_points(ear.solid, experiment.stapes_points, pose.inverse().vectors(beams)),
         "base": bone_points(ear.solid, experiment.bone_points),
     }
-    reference = footplate_from_reference or RigidTransform.identity("footplate", "reference")
-    return measure_motion(motions, places, experiment, pose, rng, (reference, fiducials_mm or {}))
+    return measure_motion(motions, places, experiment, pose, rng, (footplate_from_reference, fiducials_mm))
 
 
 def measure_motion(
@@ -209,47 +193,33 @@ def measure_motion(
     velocity = state.faulty()
     if not experiment.exact:
         velocity = velocity + sd * state.loud[:, None] * state.live() * noise
-        velocity = _common_noise(velocity, experiment)
-    recording = Recording(
+    marks = _fiducials(pose, references, experiment, rng)
+    place_mm = np.repeat(reported, len(towards), axis=0)
+    if experiment.in_footplate:
+        back, marks = pose.inverse(), ()
+        place_mm, direction = back.points(place_mm), back.vectors(direction)
+    flip = np.where([axis == experiment.mirror for axis in "xyz"], -1.0, 1.0)
+    return Recording(
         runs=experiment.runs,
         freq_hz=experiment.freq_hz,
         body=bodies,
         point=points,
         laser=state.laser,
-        position_mm=np.repeat(reported, len(towards), axis=0),
-        direction=direction,
+        position_mm=place_mm * flip,
+        direction=direction * flip,
         velocity_m_s=_with_gaps(velocity, experiment),
         sd_m_s=sd,
         stated="none" if experiment.exact else experiment.stated,
         averages=experiment.averages,
         position_sd_mm=wobble,
         fiducial_sd_mm=0.0 if experiment.exact else experiment.fiducial_sd_mm,
-        fiducials=_fiducials(pose, references, experiment, rng),
+        fiducials=tuple((name, seen * flip, place) for name, seen, place in marks),
         fiducial_frame="plate" if references is None else references[0].source,
+        frame="footplate" if experiment.in_footplate else "vibrometer",
         culprits=dict(state.culprits),
         motion_m=dict(motions),
         vibrometer_from_footplate=pose,
     )
-    if experiment.in_footplate:
-        back = pose.inverse()
-        recording = replace(
-            recording,
-            frame="footplate",
-            position_mm=back.points(recording.position_mm),
-            direction=back.vectors(recording.direction),
-            fiducials=(),
-        )
-    return _mirrored(recording, experiment.mirror)
-
-
-def _common_noise(velocity: ComplexArray, experiment: Experiment) -> ComplexArray:
-    """Multiply all channels of a line with the same noise."""
-    if not experiment.common_noise:
-        return velocity
-    rng = np.random.default_rng([experiment.seed, 37])
-    runs, _, lines = velocity.shape
-    error = rng.standard_normal((runs, 1, lines, 2)) @ np.array([1.0, 1j])
-    return np.asarray(velocity * (1.0 + experiment.common_noise * error))
 
 
 def _with_gaps(velocity: ComplexArray, experiment: Experiment) -> ComplexArray:
@@ -281,19 +251,6 @@ def _fiducials(
     )
 
 
-def _mirrored(recording: Recording, axis: str) -> Recording:
-    if not axis:
-        return recording
-    flip = np.ones(3)
-    flip["xyz".index(axis)] = -1.0
-    return replace(
-        recording,
-        position_mm=recording.position_mm * flip,
-        direction=recording.direction * flip,
-        fiducials=tuple((name, seen * flip, place) for name, seen, place in recording.fiducials),
-    )
-
-
 def vibrometer_pose(rng: np.random.Generator) -> RigidTransform:
     """Return vibrometer_from_footplate: the optical axis (z) looks down on the stapes, up to some degrees."""
     lay = rotation_from_vector([np.pi / 2.0, 0.0, 0.0])
@@ -313,19 +270,3 @@ def laser_directions(count: int, cone_deg: float) -> Array:
     return np.column_stack(
         [np.sin(cone) * np.cos(turn), np.sin(cone) * np.sin(turn), np.full(count, np.cos(cone))]
     )
-
-
-def rows_of(recording: Recording, body: str) -> tuple[list[int], Array]:
-    """Return the channels of a body, and what each reports of its six degrees of freedom, (C, 6), by m.
-
-    From the reported positions and directions mapped into footplate axes by the true pose.
-    """
-    own = recording.channels(body)
-    pose = recording.vibrometer_from_footplate
-    back = (
-        RigidTransform.identity("footplate", "footplate")
-        if recording.frame == "footplate"
-        else pose.inverse()
-    )
-    places, beams = back.points(recording.position_mm[own]), back.vectors(recording.direction[own])
-    return own, point_rows(places * 1e-3, beams)

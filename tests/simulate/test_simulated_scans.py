@@ -11,6 +11,7 @@ from scipy.special import ndtr
 
 import simulate
 from simulate import Ear, Scan, Stapes
+from simulate.ear import footplate_outline
 from simulate.files.volumes import WITHOUT_SPACING
 from simulate.scanner import Renderer
 
@@ -89,19 +90,16 @@ def test_density_gradient_is_in_the_grey_values_and_the_mass():
 
 
 def test_flat_face_is_an_error_function_of_the_blur():
-    ear = Ear(bone=False, plate=True, plate_tilt_deg=(0.0, 0.0), plate_turn_deg=0.0)
-    scan = Scan(voxel_um=50.0, samples=4, rotation_vector_deg=(90.0, 0.0, 0.0), blur_voxels=1.5)
-    truth = simulate.simulate_truth(ear, clean(scan))
-    pose = truth.scan_from_plate
-    column = np.rint(pose.points([1.2, 0.0, -1.1]) / 0.05).astype(int)
-    grey = simulate.render(truth.placed, truth.scan)[:, column[1], column[0]].astype(float)
+    scan = clean(Scan(voxel_um=50.0, samples=4, blur_voxels=1.5, shape=(40, 40, 60)))
+    slab = simulate.box([0.0, 0.0, 1.01], [3.0, 3.0, 1.51])
+    placed = replace(scan.placed(Ear()), solids=((slab, "plastic"),))
+    grey = simulate.render(placed, scan)[:, 20, 20].astype(float)
     air, plastic, _ = scan.levels
-    height = (np.arange(len(grey)) * 0.05 - pose.translation_mm[2]) * np.sign(pose.rotation[2, 1])
-    # The voxel itself adds a variance of 1/12; the plate is ten voxels thick.
+    height = np.arange(len(grey)) * 0.05 - 1.01
+    # The voxel itself adds a variance of 1/12.
     sigma = 0.05 * np.hypot(1.5, np.sqrt(1.0 / 12.0))
-    expected = ndtr((height + 0.5) / sigma) - ndtr(height / sigma)
-    near = np.abs(height) < 0.2
-    assert np.abs((grey - air) / (plastic - air) - expected)[near].max() < 0.01
+    expected = ndtr(height / sigma) - ndtr((height - 0.5) / sigma)
+    assert np.abs((grey - air) / (plastic - air) - expected).max() < 0.01
 
 
 def test_noise_has_its_standard_deviation_and_correlation():
@@ -178,14 +176,13 @@ def test_storing_windows_steps_and_padding(ear):
     assert flat.min() == pytest.approx(signed.stored_levels()[0], abs=1.0)
 
 
-def test_soft_tissue_incus_bridges_and_dust_add_material(ear):
+def test_soft_tissue_incus_and_bridges_add_material(ear):
     bare = simulate.simulate_truth(ear, clean(SMALL))
     start = simulate.render(bare.placed, bare.scan).astype(float).sum()
     for change in (
         {"coat_mm": 0.05},
         {"fluid_depth_mm": 0.3},
         {"bridges": 3},
-        {"dust": 4},
         {"incus_gap_mm": 0.06},
     ):
         other = replace(ear, **change)
@@ -205,8 +202,8 @@ def test_plate_touches_the_stapes_where_asked(ear):
 
 
 def test_window_leaves_its_gap(ear):
-    inner = simulate.footplate_outline(ear.solid, ear.gap_mm)
-    rim = simulate.footplate_outline(ear.solid, 0.0)
+    inner = footplate_outline(ear.solid, ear.gap_mm)
+    rim = footplate_outline(ear.solid, 0.0)
     nearest = np.min(np.linalg.norm(inner[:, None] - rim[None], axis=2), axis=1)
     assert nearest.min() == pytest.approx(ear.gap_mm, rel=0.03)
     assert nearest.max() < 1.1 * ear.gap_mm
@@ -214,20 +211,11 @@ def test_window_leaves_its_gap(ear):
 
 def _read(path: Path):
     """Read a scan by a library; return array (z, y, x) and voxel size x, y, z or None."""
-    import pydicom
     import SimpleITK as sitk
     import tifffile
-    import zarr
 
     if path.name == "slices":
         return np.stack([tifffile.imread(file) for file in sorted(path.iterdir())]), None
-    if path.name == "dicom":
-        sets = sorted(
-            (pydicom.dcmread(file) for file in path.iterdir()), key=lambda s: s.ImagePositionPatient[2]
-        )
-        dz = sets[1].ImagePositionPatient[2] - sets[0].ImagePositionPatient[2]
-        dy, dx = sets[0].PixelSpacing
-        return np.stack([one.pixel_array for one in sets]), (dx, dy, dz)
     if path.suffix == ".tif":
         with tifffile.TiffFile(path) as tif:
             array = tif.asarray()
@@ -236,36 +224,22 @@ def _read(path: Path):
                 return array, (x[1] / x[0], y[1] / y[0], tif.imagej_metadata["spacing"])
             pixels = tifffile.xml2dict(tif.ome_metadata)["OME"]["Image"]["Pixels"]
             return array, tuple(pixels[f"PhysicalSize{axis}"] for axis in "XYZ")
-    if path.suffix == ".zarr":
-        group = zarr.open_group(str(path), mode="r")
-        level = group.attrs["multiscales"][0]["datasets"][0]
-        scale = level["coordinateTransformations"][0]["scale"]
-        return group["0"][...], tuple(part * 1e-3 for part in scale[::-1])
-    if path.suffix == ".isq":
-        head = path.read_bytes()[:1024]
-        size, extent = np.frombuffer(head, "<i4", 3, 44), np.frombuffer(head, "<i4", 3, 56)
-        return np.fromfile(path, "<i2", offset=1024).reshape(size[::-1]), tuple(extent / size * 1e-3)
-    if path.suffix == ".vgi":
-        lines = dict(line.split(" = ") for line in path.read_text().splitlines() if " = " in line)
-        size = [int(word) for word in lines["size"].split()]
-        voxels = np.fromfile(path.with_suffix(".vol"), "<u2").reshape(size[::-1])
-        return voxels, tuple(float(word) for word in lines["resolution"].split())
     image = sitk.ReadImage(str(path))
     assert image.GetOrigin() == (0.0, 0.0, 0.0)
     assert np.array_equal(image.GetDirection(), np.eye(3).ravel())
     return sitk.GetArrayFromImage(image), image.GetSpacing()
 
 
-@pytest.mark.parametrize("fmt", [name for name in simulate.SCAN_WRITERS if name != "ply"])
+@pytest.mark.parametrize("fmt", ["tif", "ome.tif", "nrrd", "slices"])
 def test_every_format_is_read_back_by_a_library(fmt, tmp_path, ear):
     scan = replace(SMALL, samples=1, format=fmt)
     placed = scan.placed(ear)
     volume = simulate.render(placed, scan)
     array, spacing = _read(simulate.write_scan(tmp_path, placed, scan))
-    assert np.array_equal(array, volume // 2 if fmt == "isq" else volume)
+    assert np.array_equal(array, volume)
     assert (spacing is None) == (fmt in WITHOUT_SPACING)
     if spacing is not None:
-        assert spacing == pytest.approx(placed.voxel_mm, rel=2e-4 if fmt == "isq" else 1e-6)
+        assert spacing == pytest.approx(placed.voxel_mm, rel=1e-6)
 
 
 def test_surface_and_labels_are_those_of_the_placed_bodies(tmp_path, ear):

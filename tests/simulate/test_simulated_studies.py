@@ -13,6 +13,7 @@ import pytest
 
 import simulate
 from simulate import Ear, Experiment, Population, Scan
+from simulate.ligament import PAPER_STIFFNESS
 
 SAMPLE = Path(simulate.__file__).resolve().parents[1] / "sample_volumes"
 QUICK = Experiment(lines=20, seed=3)
@@ -130,8 +131,8 @@ def test_cohort_follows_its_law():
     pair = [member for member in members if member.subject == "P01"]
     assert [member.ear.side for member in pair] == ["left", "right"]
     right = pair[1].ear.ligament.stiffness_si
-    assert np.sign(right[0, 1]) == -np.sign(simulate.PAPER_STIFFNESS[0, 1])
-    assert np.sign(right[0, 2]) == np.sign(simulate.PAPER_STIFFNESS[0, 2])
+    assert np.sign(right[0, 1]) == -np.sign(PAPER_STIFFNESS[0, 1])
+    assert np.sign(right[0, 2]) == np.sign(PAPER_STIFFNESS[0, 2])
 
 
 @pytest.fixture(scope="module")
