@@ -1,7 +1,7 @@
 """A damaged file of any kind ends in values or in one refusal: no traceback, no crash, no hang.
 
-Every scan format of the simulator, every kind of vibrometer file, and the records and tables that the
-commands read, each damaged at random: bytes changed, zeroed, removed or put in, the end cut off, a part
+Every format of scans and vibrometer files, as the contracts of the readers write them, and the records and
+tables that the commands read, each damaged at random: bytes changed, zeroed, removed or put in, the end cut off, a part
 written twice; half of the places lie in the first 600 bytes, where headers are. "Longest" is the processor
 time of one file, the child process that reads it included.
 
@@ -15,7 +15,7 @@ import signal
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,24 +26,25 @@ from benchmarks._table import arguments, print_table
 from ct_inertia.frames.fiducials import read_plate_fiducials
 from ct_inertia.frames.landmarks import read_landmarks
 from ct_inertia.scan.open_scan import open_scan
+from ct_inertia.scan.raw import RawLayout
 from ct_inertia.surface.repair import read_mesh
 from fitting.mass import read_mass_csv
+from kinematics.readers.formats import read_file
 from kinematics.readers.points import read_points
 from pipeline.study import read_study
-from simulate import Ear, Experiment, Scan, Stapes, simulate_study
-from simulate.files.recordings import WRITERS as RECORDINGS
-from simulate.files.recordings import write_recording
-from simulate.files.volumes import WRITERS as VOLUMES
-from simulate.files.volumes import write_scan
-from simulate.study import simulate_recording
+from simulate import Ear, Experiment, Scan, Stapes, simulate_study, write_scan
 from stapeskit.faults import StapeskitError
 from stapeskit.records.mass import read_mass_json
 from stapeskit.records.motion import read_motion
+from tests.motion_files.written_files import OTHERS
+from tests.motion_files.written_files import WRITERS as RECORDINGS
+from tests.scan_files.scan_cases import CASES as SCANS
+from tests.scan_files.scan_cases import Case
+from tests.scan_files.scan_writers import SPACING, picture
 
 Read = Callable[[Path], Any]
 HANG_S = 60
 """Wall time after which a file counts as one that hangs."""
-SPACING_MM = (0.15, 0.15, 0.15)
 EAR = Ear(stapes=Stapes(family="analytic"), plate=False, bone=False)
 LANDMARKS = "name,x_mm,y_mm,z_mm\nanterior,1,2,3\nposterior,-1,2,3\n"
 PLATE_MARKS = "name,x_mm,y_mm,z_mm\nA,1,2,3\nB,-1,2,3\nC,1,-2,3\nD,1,2,-3\n"
@@ -51,24 +52,17 @@ PLATE_MARKS = "name,x_mm,y_mm,z_mm\nA,1,2,3\nB,-1,2,3\nC,1,-2,3\nD,1,2,-3\n"
 
 def cases(folder: Path) -> Iterator[tuple[str, Path, Read]]:
     """Yield kinds of files: name, a file or folder that is whole, and its reader."""
-    truth = simulate_study(
-        EAR, Scan(voxel_um=60.0), Experiment(lines=20, seed=1, in_footplate=True), folder / "study"
-    )
-    study = folder / "study"
-    scan = Scan(voxel_um=1e3 * SPACING_MM[0])
-    placed = scan.placed(EAR)
-    for name in VOLUMES:
-        (folder / f"scan {name}").mkdir()
-        path = write_scan(folder / f"scan {name}", placed, replace(scan, format=name))
-        yield f"scan, {name}", path, read_mesh if name == "ply" else open_voxels
-    recording = simulate_recording(truth, Experiment(lines=20, seed=1))
-    for name in RECORDINGS:
+    for number, (entry, (name, case)) in enumerate({one.entry: (n, one) for n, one in SCANS.items()}.items()):
+        (folder / f"{number}").mkdir()
+        path = case.write(folder / f"{number}" / name, picture(case.types[0]), **case.options)
+        yield f"scan, {entry}", path, partial(read_scan, case=case)
+    for name, write in (RECORDINGS | OTHERS).items():
         (folder / name).mkdir()
-        yield (
-            f"vibrometer, {name}",
-            write_recording(folder / name, recording, name),
-            stapeskit.read_vibrometer,
-        )
+        path, facts = write(folder / name)
+        yield f"vibrometer, {name}", path, partial(read_file, facts=facts)
+    study = folder / "study"
+    truth = simulate_study(EAR, Scan(voxel_um=60.0), Experiment(lines=20, seed=1, in_footplate=True), study)
+    yield "mesh", write_scan(study, truth.placed, Scan(voxel_um=60.0, format="ply")), read_mesh
     stapeskit.ct2mass(study / "scan.tif", density="1900+-60").write(study / "mass")
     motion = stapeskit.points2dof(study / "ldv.csv", mass=study / "mass" / "mass.json", frame="footplate")
     motion.write(study / "dof")
@@ -85,9 +79,10 @@ def cases(folder: Path) -> Iterator[tuple[str, Path, Read]]:
     yield "study.toml", study / "study.toml", read_study
 
 
-def open_voxels(path: Path) -> Any:
+def read_scan(path: Path, case: Case) -> Any:
     """Open a scan and read all of it."""
-    return open_scan(path, spacing_mm=SPACING_MM).read()
+    layout = None if case.raw is None else RawLayout((5, 6, 7), case.types[0], **case.raw)
+    return open_scan(path, spacing_mm=SPACING if case.asks else None, raw=layout).read()
 
 
 def damaged(content: bytes, rng: np.random.Generator) -> bytes:
@@ -126,8 +121,8 @@ def spent_s() -> float:
     return sum(one.ru_utime + one.ru_stime for one in used)
 
 
-def row(name: str, path: Path, read: Read, count: int, first: int) -> list[object]:
-    """Damage a kind of file many times."""
+def outcomes(name: str, path: Path, read: Read, count: int, first: int) -> tuple[Counter[str], float]:
+    """Damage a kind of file many times; return what came of it, and the longest processor time."""
     read(path)
     files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
     whole = {file: file.read_bytes() for file in files}
@@ -140,9 +135,7 @@ def row(name: str, path: Path, read: Read, count: int, first: int) -> list[objec
         found[outcome(read, path)] += 1
         longest = max(longest, spent_s() - before)
         file.write_bytes(whole[file])
-    other = {what: n for what, n in found.items() if what not in ("read", "refused")}
-    words = ", ".join(f"{n} {what}" for what, n in other.items()) or "0"
-    return [name, count, found["read"], found["refused"], words, f"{longest:.2f}"]
+    return found, longest
 
 
 def _too_long(*_: object) -> None:
@@ -150,9 +143,18 @@ def _too_long(*_: object) -> None:
 
 
 if __name__ == "__main__":
-    given = arguments(__doc__, files=100, first=0, word="")
+    given = arguments(__doc__, files=100, first=0)
     signal.signal(signal.SIGALRM, _too_long)
     with tempfile.TemporaryDirectory() as place:
-        chosen = (case for case in cases(Path(place)) if given.word in case[0])
-        table = (row(*case, given.files, given.first) for case in chosen)
-        print_table(("kind", "files", "read", "refused", "anything else", "longest, s"), table)
+        groups = dict[str, list[tuple[Counter[str], float]]]()
+        for case in cases(Path(place)):
+            group = case[0].split(",")[0] if "," in case[0] else "records and tables"
+            groups.setdefault(group, []).append(outcomes(*case, given.files, given.first))
+    rows = list[list[object]]()
+    for group, parts in groups.items():
+        total = sum((part for part, _ in parts), Counter[str]())
+        other = [f"{n} {what}" for what, n in total.items() if what not in ("read", "refused")]
+        longest = f"{max(seconds for _, seconds in parts):.2f}"
+        found = (len(parts), total.total(), total["read"], total["refused"], ", ".join(other) or 0, longest)
+        rows.append([group, *found])
+    print_table(("files", "kinds", "damaged", "read", "refused", "anything else", "longest, s"), rows)
