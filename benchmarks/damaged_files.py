@@ -1,9 +1,9 @@
 """A damaged file of any kind ends in values or in one refusal: no traceback, no crash, no hang.
 
 Every format of scans and vibrometer files, as the contracts of the readers write them, and the records and
-tables that the commands read, each damaged at random: bytes changed, zeroed, removed or put in, the end cut off, a part
-written twice; half of the places lie in the first 600 bytes, where headers are. "Longest" is the processor
-time of one file, the child process that reads it included.
+tables that the commands read, each damaged at random: bytes changed, zeroed, removed or put in, the end cut
+off, a part written twice; half of the places lie in the first 600 bytes, where headers are. "Longest" is the
+processor time of one file, the child process that reads it included.
 
     python -m benchmarks.damaged_files --files 4000
 """
