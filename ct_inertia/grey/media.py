@@ -247,18 +247,25 @@ def media_notices(fit: SceneFit, soft: float, hollow: float) -> list[Notice]:
     ``soft``, ``hollow``: shares of the volume that the medium counts as, and that hollows are.
     """
     notices, media = [], fit.media
-    if abs(soft) > _REPORTED or media.wet:
-        wet = (
-            " A fluid touches it, which is modelled as a body of its own."
-            if media.touching is not None
-            else ""
-        )
+    around = []
+    if soft > _REPORTED:
+        share = f"{100.0 * soft:.2f} % of its volume was subtracted as a smooth medium."
+        around.append(f"Fluid or soft tissue lies around the stapes: {share}")
+    if media.wet:
+        around.append("The plate or a fluid touches the stapes; it is modelled as a body of its own.")
+    if around:
         text = (
-            f"Fluid or soft tissue lies around the stapes: {100.0 * soft:.2f} % of its volume was subtracted "
-            f"as a smooth medium.{wet} The budget holds what remains (surroundings). Dry the sample and scan "
-            "it again for a better value."
+            f"{' '.join(around)} The budget holds what remains (surroundings). Dry the sample, or lift it "
+            "off the plate, and scan it again for a better value."
         )
         notices.append(Notice("soft_surroundings", text))
+    if soft < -_REPORTED:
+        text = (
+            f"Next to the stapes the scan is darker than air, by {-100.0 * soft:.2f} % of its volume: edge "
+            "enhancement (phase fringes, a sharpening filter) does that. It was fitted as a medium; the "
+            "budget holds what remains (surroundings). Reconstruct without such a filter."
+        )
+        notices.append(Notice("grey_values_misfit", text))
     contrast = fit.contrasts["stapes"]
     budget = f"the budget holds {100.0 * hollow * media.void_sd / contrast:.2f} % for it (voids)"
     if media.void_grey:
