@@ -58,7 +58,6 @@ def points2dof(
 def read_vibrometer(
     path: str | Path,
     *,
-    mapping: str | Path | None = None,
     channels: str | Path | None = None,
     n_avg: float | None = None,
 ) -> Recording:
@@ -68,8 +67,6 @@ def read_vibrometer(
     ----------
     path : path
         A file, or a folder of text exports.
-    mapping : path, optional
-        TOML file with other names for the columns of a wide table.
     channels : path, optional
         Table of the channels of time series.
     n_avg : float, optional
@@ -94,7 +91,6 @@ def read_vibrometer(
 
     facts = FileFacts(
         n_avg=n_avg,
-        mapping=None if mapping is None else Path(mapping),
         channels=None if channels is None else Path(channels),
     )
-    return with_facts(read_file(Path(path), facts), facts).with_noise()
+    return with_facts(read_file(Path(path), facts), facts)

@@ -122,7 +122,7 @@ def check_inputs(options: MotionOptions) -> None:
     else:
         for path in options.file:
             with collect_faults(faults):
-                format_of(path, options.mapping is not None)
+                format_of(path)
         with collect_faults(faults):
             if options.points_file is not None:
                 read_points(options.points_file)

@@ -184,9 +184,6 @@ class Measurement:
     notices : tuple of Notice
     repeats : tuple of Repeat, (r,)
         What each entry of ``runs`` (their ``name``) is while repeats are not pooled yet; empty without any.
-    common_sd : ndarray, (r, L), or None
-        Relative standard deviation of the real (= imaginary) part of an error that all channels of a run
-        share: noise of the signal that the values refer to. It is not in the sd of the channels.
     line_spread : float
         By what factor the variance of slowly varying sums over lines exceeds that of independent lines, as
         windows of spectra make it.
@@ -209,7 +206,6 @@ class Measurement:
     inputs: Mapping[str, Path] = field(default_factory=dict)
     notices: tuple[Notice, ...] = ()
     repeats: tuple[Repeat, ...] = ()
-    common_sd: Array | None = None
     line_spread: float = 1.0
     statements: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
@@ -224,9 +220,6 @@ class Measurement:
             faults.append(Fault("freq_hz", "positive and ascending", "another order"))
         if self.quantity not in QUANTITIES:
             faults.append(Fault("the measured quantity", f"one of {', '.join(QUANTITIES)}", self.quantity))
-        shape = (len(self.runs), len(self.freq_hz))
-        if self.common_sd is not None and self.common_sd.shape != shape:
-            faults.append(Fault("the noise of the reference", f"of shape {shape}", self.common_sd.shape))
         if not self.bodies:
             faults.append(Fault("a measurement", "of at least one body", "none"))
         if self.repeats and tuple(repeat.name for repeat in self.repeats) != self.runs:

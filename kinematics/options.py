@@ -193,14 +193,6 @@ class MotionOptions(Options):
     n_avg: Annotated[
         Positive | None, Opt("averages behind each value: with coherence they give its noise", _FILES, 20)
     ] = None
-    mapping: Annotated[
-        ReadFile | None,
-        Opt(
-            'other names for the columns of a wide table: "A7" = "P7 z Mag [mm/s]" (TOML)',
-            _FILES,
-            "names.toml",
-        ),
-    ] = None
 
     channels: Annotated[
         ReadFile | None,
@@ -241,14 +233,14 @@ class MotionOptions(Options):
         named = {
             "points": self.points_file,
             "fiducials": self.fiducials_file,
-            **{name: getattr(self, name) for name in ("mapping", "channels")},
+            "channels": self.channels,
         }
         files = {"ldv" if not number else f"ldv {number + 1}": path for number, path in enumerate(self.file)}
         return files | {role: path for role, path in named.items() if path is not None}
 
     def parameters(self) -> dict[str, Any]:
         """Return what differs from the defaults, for the provenance; files are among its inputs."""
-        files = {"file", "points", "fiducials", "mapping", "channels"}
+        files = {"file", "points", "fiducials", "channels"}
         return {key: value for key, value in self.given().items() if key not in files}
 
 

@@ -120,8 +120,6 @@ def measure_motion(
     if options.reference:
         motion = per_reference(motion, options.reference)
         notices += motion.notices
-    elif measurement.common_sd is not None:
-        motion = motion.with_common_noise(measurement.common_sd)
     before = () if mass is None else mass.record.notices
     before = tuple(replace(notice, text=f"mass: {notice.text}") for notice in before)
     every = unique([*before, *measurement.notices, *notices])

@@ -71,15 +71,11 @@ def pool_repeats(measurement: Measurement) -> tuple[Measurement, tuple[RepeatedR
     if compared and not stated:
         text = "no noise is stated: it was estimated from the scatter between repeats."
         notices.append(Notice("noise_estimated", text))
-    common = measurement.common_sd
-    if common is not None:
-        common = np.stack([np.sqrt(np.mean(common[own] ** 2, axis=0) / len(own)) for own in places])
     pooled = replace(
         measurement,
         runs=runs,
         repeats=(),
         bodies=tuple(bodies),
-        common_sd=common,
         notices=(*measurement.notices, *notices),
     )
     return pooled, tuple(compared)

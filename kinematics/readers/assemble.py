@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.measurement import BodyChannels, Measurement, Repeat
-from kinematics.readers.facts import (
-    FileFacts,
-    assumptions,
-    unused_options,
-    with_bodies,
-    with_facts,
-    with_runs,
-)
+from kinematics.readers.facts import FileFacts, assumptions, with_bodies, with_facts, with_runs
 from kinematics.readers.formats import format_of, read_file
-from kinematics.readers.gather import Row, matrices_of, twice_faults
+from kinematics.readers.gather import on_one_grid, twice_faults
 from kinematics.readers.lines import check_filled, grid_faults
 from kinematics.readers.points import Points, read_points
-from kinematics.readers.recording import QUANTITY_OF_ORDER, Channel, Recording
-from stapeskit.arrays import Array, ComplexArray
+from kinematics.readers.recording import QUANTITY_OF_ORDER, Recording, Row
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError, collect_faults, list_some, raise_all
 from stapeskit.warnings import Notice, unique
 
@@ -67,22 +58,17 @@ def read_measurement(
         step = "Rename one of them: runs and bodies are identified by the names of files"
         got = f"{list_some(twice)} twice"
         raise StapeskitError.of("the names of the vibrometer files", "different", got, "", step)
-    recordings: list[Recording] = []
-    faults: list[Fault] = []
+    recordings, faults, listed = list[Recording](), list[Fault](), None
     for path in paths:
         with collect_faults(faults):
             recordings.append(read_file(path, facts))
-    listed = None
     if points is not None:
         with collect_faults(faults):
             listed = read_points(points)
     raise_all(faults)
-    formats = [format_of(path, facts.mapping is not None) for path in paths]
-    if facts.mapping is not None and not any(one.name == "wide" for one in formats):
-        faults.append(Fault("--mapping", "left out: no wide table is read", facts.mapping.name))
-    if facts.channels is not None and not any(one.series for one in formats):
-        faults.append(Fault("--channels", "left out: no file holds time series", facts.channels.name))
-    raise_all(faults)
+    if facts.channels is not None and not any(format_of(path).series for path in paths):
+        got = facts.channels.name
+        raise StapeskitError.of("--channels", "left out: no file holds time series", got)
     inputs = {"ldv" if number == 1 else f"ldv {number}": path for number, path in enumerate(paths, 1)}
     return replace(assemble(recordings, listed, facts, frame), inputs=inputs)
 
@@ -113,32 +99,26 @@ def assemble(
         of one kind are reported together.
     """
     facts = facts or FileFacts()
-    raise_all(unused_options(recordings, facts))
+    raise_all(facts.unused(recordings))
     notices = [notice for one in recordings for notice in (*one.notices, *assumptions(one, facts))]
-    recordings = [with_facts(one, facts).with_noise() for one in recordings]
-    freq_hz, held, about_lines = matrices_of([row for one in recordings for row in _rows(one)])
-    channels = [channel for one in recordings for channel in one.channels]
-    channels, about_bodies = with_bodies(channels, points, facts)
-    channels, about_runs = with_runs(channels, facts)
-    raise_all(_channel_faults(channels))
-    value, sd = held["value"], held.get("sd", np.full(held["value"].shape, np.nan))
-    raise_all(twice_faults(channels, value, _ONE_RUN))
-    order = _to_one_quantity(channels, freq_hz, value, sd)
-    takes = list(dict.fromkeys((channel.run, channel.repeat) for channel in channels))
-    different = len({(channel.body, channel.point, channel.beam_key) for channel in channels})
-    check_filled(len(takes) * different, len(freq_hz), value.size, "")
-    common_sd = _reference_noise(channels, takes, held) if "common_sd" in held else None
-    notices += [*about_bodies, *about_runs, *_reference_notices(channels), *about_lines]
-    relative = np.repeat([one.relative for one in recordings], [len(one.channels) for one in recordings])
-    faults: list[Fault] = []
-    bodies = []
-    for name in dict.fromkeys(channel.body for channel in channels):
-        own = np.array([channel.body == name for channel in channels])
-        mine = [channel for channel in channels if channel.body == name]
+    rows = [row for one in recordings for row in with_facts(one, facts).rows]
+    rows, about_lines = on_one_grid(rows)
+    rows, about_bodies = with_bodies(rows, points, facts)
+    rows, about_runs = with_runs(rows, facts)
+    raise_all(_row_faults(rows))
+    raise_all(twice_faults(rows, _ONE_RUN))
+    order = Counter(row.order for row in rows).most_common(1)[0][0]
+    rows = [_as_order(row, order) for row in rows]
+    takes = list(dict.fromkeys((row.run, row.repeat) for row in rows))
+    freq_hz = rows[0].freq_hz
+    check_filled(
+        len(takes) * len({(row.body, row.beam) for row in rows}), len(freq_hz), len(rows) * len(freq_hz)
+    )
+    notices += [*about_bodies, *about_runs, *_reference_notices(rows), *about_lines]
+    faults, bodies = list[Fault](), list[BodyChannels]()
+    for name in dict.fromkeys(row.body for row in rows):
         with collect_faults(faults):
-            body, missing = _body(name, mine, value[own], sd[own], relative[own], takes, points)
-            bodies.append(body)
-            notices += missing
+            bodies.append(_body([row for row in rows if row.body == name], takes, points, notices))
     raise_all(faults)
     present = {body.body: np.any(~np.isnan(body.value.real), axis=(0, 1)) for body in bodies}
     raise_all(grid_faults(freq_hz, present))
@@ -152,81 +132,45 @@ def assemble(
         QUANTITY_OF_ORDER[order],
         notices=unique(notices),
         repeats=repeats if several else (),
-        common_sd=common_sd,
         line_spread=max(one.line_spread for one in recordings),
         statements=tuple(f"{one.file}: {one.statement}" for one in recordings if one.statement),
     )
 
 
-def _rows(one: Recording) -> list[Row]:
-    """Return the channels of a recording apart, with their noise."""
-    return [
-        Row(
-            channel,
-            one.freq_hz,
-            one.value[k],
-            sd=None if one.sd is None else one.sd[k],
-            common_sd=None if one.common_sd is None else one.common_sd[k],
-        )
-        for k, channel in enumerate(one.channels)
-    ]
-
-
-def _to_one_quantity(channels: Sequence[Channel], freq_hz: Array, value: ComplexArray, sd: Array) -> int:
-    """Turn all values in place into the most common quantity, and return its order."""
-    orders = np.array([channel.order for channel in channels])
-    order = Counter(orders.tolist()).most_common(1)[0][0]
-    for other in set(orders.tolist()) - {order}:
-        rows, factor = orders == other, (2j * np.pi * freq_hz) ** (order - other)
-        value[rows] *= factor
-        sd[rows] *= np.abs(factor)
-    return order
-
-
-def _reference_noise(
-    channels: Sequence[Channel], takes: Sequence[Take], held: dict[str, Any]
-) -> Array | None:
-    """Return the noise of the reference, (r, L), of runs whose channels were all recorded together.
-
-    Where they were not, the noise of their references is added to that of the channels in place.
-    """
-    common_sd = np.zeros((len(takes), held["value"].shape[1]))
-    for number, take in enumerate(takes):
-        rows = np.array([(channel.run, channel.repeat) == take for channel in channels])
-        noise = np.nan_to_num(held["common_sd"][rows])
-        if np.all(noise == noise[0]):
-            common_sd[number] = noise[0]
-        else:
-            held["sd"][rows] = np.hypot(held["sd"][rows], noise * np.abs(held["value"][rows]))
-    return common_sd if np.any(common_sd > 0.0) else None
-
-
-def _channel_faults(channels: Sequence[Channel]) -> list[Fault]:
-    """Refuse channels without direction, and responses to different quantities in one run."""
-    silent: dict[str, list[str]] = {}
-    kinds: dict[str, dict[str, str]] = {}
-    for channel in channels:
-        if np.any(np.isnan(channel.direction)):
-            silent.setdefault(channel.body, []).append(channel.point)
-        kind = f"responses per {channel.per}" if channel.per else "amplitudes"
-        kinds.setdefault(channel.run, {}).setdefault(kind, f"{kind} ({channel.where or channel.file})")
-    step = "State the direction towards the laser head with --beam z, -y or X,Y,Z"
-    want = "given with the direction of the beam"
+def _row_faults(rows: Sequence[Row]) -> list[Fault]:
+    """Refuse rows without direction, and responses to different quantities in one run."""
+    silent = defaultdict[str, list[str]](list)
+    kinds = defaultdict[str, dict[str, str]](dict)
+    for row in rows:
+        if np.any(np.isnan(row.direction)):
+            silent[row.body].append(row.point)
+        kind = f"responses per {row.per}" if row.per else "amplitudes"
+        kinds[row.run].setdefault(kind, f"{kind} ({row.where or row.file})")
+    want, step = "given with the direction of the beam", "State it with --beam z, -y or X,Y,Z"
     faults = [
         Fault(f"points {list_some(names, 8)} of body {body}", want, "none", "", step)
         for body, names in silent.items()
     ]
     step = "Export all points as responses to one reference, or all as amplitudes"
-    for run, found in kinds.items():
-        if len(found) > 1:
-            got = " and ".join(found.values())
-            faults.append(Fault("the values of one run", "of one unit", got, f"run {run}", step))
-    return faults
+    return faults + [
+        Fault("the values of one run", "of one unit", " and ".join(found.values()), f"run {run}", step)
+        for run, found in kinds.items()
+        if len(found) > 1
+    ]
 
 
-def _reference_notices(channels: Sequence[Channel]) -> list[Notice]:
+def _as_order(row: Row, order: int) -> Row:
+    """Return the row as displacement, velocity or acceleration."""
+    if row.order == order:
+        return row
+    factor = (2j * np.pi * row.freq_hz) ** (order - row.order)
+    sd = None if row.sd is None else row.sd * np.abs(factor)
+    return replace(row, value=row.value * factor, sd=sd)
+
+
+def _reference_notices(rows: Sequence[Row]) -> list[Notice]:
     """Report the quantity that the motion refers to."""
-    units = sorted({channel.per for channel in channels} - {""})
+    units = sorted({row.per for row in rows} - {""})
     text = (
         f"the values are responses per {' or '.join(units)}: so are all motions and their standard "
         "deviations; stiffness and damping do not depend on it."
@@ -235,54 +179,45 @@ def _reference_notices(channels: Sequence[Channel]) -> list[Notice]:
 
 
 def _body(
-    name: str,
-    channels: Sequence[Channel],
-    value: ComplexArray,
-    sd: Array,
-    relative: NDArray[np.bool_],
-    takes: Sequence[Take],
-    points: Points | None,
-) -> tuple[BodyChannels, list[Notice]]:
-    """Arrange the rows of one body by run, channel and line; ``relative`` says whose sd lacks a factor.
+    rows: Sequence[Row], takes: Sequence[Take], points: Points | None, notices: list[Notice]
+) -> BodyChannels:
+    """Arrange the rows of one body by run, channel and line; what it did not use is added to the notices.
 
-    Where some sd are absolute, values with a relative one have none.
+    Where some sd are absolute, values whose sd lacks a factor have none.
     """
-    first: dict[tuple[str, tuple[float, ...]], Channel] = {}
-    for channel in channels:
-        first.setdefault((channel.point, channel.beam_key), channel)
-    row_of = {key: number for number, key in enumerate(first)}
-    shape = (len(takes), len(first), value.shape[1])
-    values, spread = np.full(shape, np.nan + 1j * np.nan), np.full(shape, np.nan)
-    noisy = np.any(~np.isnan(sd), axis=1)
-    all_relative = not np.any(noisy & ~relative)
-    for row, channel in enumerate(channels):
-        own = ~np.isnan(value[row].real)
-        place = takes.index((channel.run, channel.repeat)), row_of[channel.point, channel.beam_key]
-        values[place][own] = value[row, own]
-        if relative[row] == all_relative:
-            spread[place][own] = sd[row, own]
-    positions = _positions(name, channels, points)
-    notices = []
-    unused = int(np.sum(np.isnan(spread) & ~np.isnan(values.real)))
-    if np.any(noisy) and unused:
+    name, first = rows[0].body, dict[object, Row]()
+    for row in rows:
+        first.setdefault(row.beam, row)
+    channel_of = {beam: channel for channel, beam in enumerate(first)}
+    value = np.full((len(takes), len(first), len(rows[0].freq_hz)), np.nan, dtype=complex)
+    spread = np.full(value.shape, np.nan)
+    noisy = [row for row in rows if row.sd is not None and not np.all(np.isnan(row.sd))]
+    relative = all(row.relative for row in noisy)
+    for row in rows:
+        own = ~np.isnan(row.value.real)
+        place = takes.index((row.run, row.repeat)), channel_of[row.beam]
+        value[place][own] = row.value[own]
+        if row.sd is not None and row.relative == relative:
+            spread[place][own] = np.asarray(row.sd)[own]
+    positions = _positions(rows, points)
+    unused = int(np.sum(np.isnan(spread) & ~np.isnan(value.real)))
+    if noisy and unused:
         text = f"{unused} values of body {name} have no standard deviation and were not used."
         notices.append(Notice("file_read", text))
-    names = tuple(point for point, _ in first)
     listed = {} if points is None else points.sd_m
-    body = BodyChannels(
+    return BodyChannels(
         name,
-        names,
-        np.array([positions[point] for point in names]) if positions else None,
-        np.array([channel.direction for channel in first.values()]),
-        values,
-        spread if np.any(noisy) else None,
-        all_relative,
-        np.array([listed.get((name, point), np.nan) for point in names], dtype=float),
+        tuple(row.point for row in first.values()),
+        np.array([positions[row.point] for row in first.values()]) if positions else None,
+        np.array([row.direction for row in first.values()]),
+        value,
+        spread if noisy else None,
+        relative,
+        np.array([listed.get((name, row.point), np.nan) for row in first.values()], dtype=float),
     )
-    return body, notices
 
 
-def _positions(body: str, channels: Sequence[Channel], points: Points | None) -> dict[str, Array]:
+def _positions(rows: Sequence[Row], points: Points | None) -> dict[str, Array]:
     """Return the positions of the points of a body, m: of the points file, else of the files.
 
     Raises
@@ -290,23 +225,22 @@ def _positions(body: str, channels: Sequence[Channel], points: Points | None) ->
     StapeskitError
         A point with two, or some points without any.
     """
-    faults: list[Fault] = []
-    found: dict[str, tuple[Array, str]] = {}
+    body, faults, found = rows[0].body, list[Fault](), dict[str, tuple[Array, str]]()
     if points is not None:
         listed = points.positions_m.items()
         found = {point: (place, points.file) for (name, point), place in listed if name == body}
-    for channel in channels:
-        place, where = channel.position_m, str(channel.where)
+    for row in rows:
+        place, where = row.position_m, str(row.where)
         if np.any(np.isnan(place)):
             continue
-        known, source = found.setdefault(channel.point, (place, where))
+        known, source = found.setdefault(row.point, (place, where))
         if np.any(np.abs(known - place) > _SAME_PLACE_M + 1e-5 * np.abs(known)):
             got = f"{(1e3 * known).tolist()} ({source}) and {(1e3 * place).tolist()} mm"
-            thing = f"the position of point {channel.point} of body {body}"
+            thing = f"the position of point {row.point} of body {body}"
             step = "Correct it; --length-unit states the unit where a file does not"
             faults.append(Fault(thing, "one", got, where, step))
-            found[channel.point] = (place, where)
-    measured = dict.fromkeys(channel.point for channel in channels)
+            found[row.point] = (place, where)
+    measured = dict.fromkeys(row.point for row in rows)
     lacking = [point for point in measured if point not in found]
     if lacking and len(lacking) < len(measured):
         step = "Give them with --points points.csv (body, point, x_mm, y_mm, z_mm)"

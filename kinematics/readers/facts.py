@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from kinematics.readers.points import Points
-from kinematics.readers.recording import Channel, Recording
+from kinematics.readers.recording import Recording, Row
 from kinematics.readers.units import LENGTHS
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, list_some, raise_all
@@ -39,15 +41,9 @@ class FileFacts:
     amplitude: str | None = ""
     length_unit: str | None = ""
     n_avg: float | None = None
-    mapping: Path | None = None
     channels: Path | None = None
     averages: int = 30
     period_s: float | None = None
-
-    @cached_property
-    def direction(self) -> Array | None:
-        """Unit vector (3,) of ``beam``; None without one. As `direction_of`."""
-        return direction_of(self.beam) if self.beam else None
 
     @cached_property
     def bodies(self) -> tuple[tuple[str, tuple[tuple[str, str], ...]], ...]:
@@ -61,9 +57,20 @@ class FileFacts:
         raise_all(Fault("--run", "NAME=FILE", "=".join(rule)) for rule in rules if not all(rule))
         return tuple((name, file) for name, file in rules)
 
-    def bodies_of(self, channel: Channel) -> list[str]:
-        """Return the bodies whose rules mean a channel."""
-        return [name for name, items in self.bodies if any(_means(*item, channel) for item in items)]
+    def unused(self, recordings: Sequence[Recording]) -> list[Fault]:
+        """List the options that were given but that no file needs."""
+        needed = {
+            "beam": any(np.any(np.isnan(one.directions)) for one in recordings),
+            "amplitude": any(not one.amplitude_stated and one.frf is None for one in recordings),
+            "length_unit": any(not one.length_stated for one in recordings),
+            "n_avg": any(one.n_avg is None and one.sd is None for one in recordings),
+        }
+        want, step = "left out where the files say it, or need none", "Leave it out, or correct the file"
+        return [
+            Fault(f"--{name.replace('_', '-')}", want, "a value", "", step)
+            for name, need in needed.items()
+            if getattr(self, name) and not need
+        ]
 
 
 def _rule(text: str) -> tuple[str, tuple[tuple[str, str], ...]]:
@@ -82,14 +89,13 @@ def _rule(text: str) -> tuple[str, tuple[tuple[str, str], ...]]:
     return name, tuple(chosen)
 
 
-def _means(file: str, item: str, channel: Channel) -> bool:
-    """Return whether a channel is meant; a name without a file may be that of a file."""
-    if file and not is_file(file, channel.file):
+def _means(file: str, item: str, row: Row) -> bool:
+    """Return whether a row is meant; a name without a file may be that of a file."""
+    if file and not is_file(file, row.file):
         return False
     if span := _SPAN.fullmatch(item):
-        return channel.point.isdecimal() and int(span[1]) <= int(channel.point) <= int(span[2])
-    as_file = not file and not item.isdigit() and is_file(item, channel.file)
-    return channel.point == item or as_file
+        return row.point.isdecimal() and int(span[1]) <= int(row.point) <= int(span[2])
+    return row.point == item or (not file and not item.isdigit() and is_file(item, row.file))
 
 
 def is_file(item: str, file: str) -> bool:
@@ -118,22 +124,6 @@ def direction_of(text: str, where: Place | str = "", thing: str = "--beam") -> A
     return np.asarray(numbers / length)
 
 
-def unused_options(recordings: Sequence[Recording], facts: FileFacts) -> list[Fault]:
-    """List the options that were given but that no file needs."""
-    needed = {
-        "beam": any(np.any(np.isnan(one.directions)) for one in recordings),
-        "amplitude": any(not one.amplitude_stated and one.frf is None for one in recordings),
-        "length_unit": any(not one.length_stated for one in recordings),
-        "n_avg": any(one.n_avg is None and one.sd is None for one in recordings),
-    }
-    want, step = "left out where the files say it, or need none", "Leave it out, or correct the file"
-    return [
-        Fault(f"--{name.replace('_', '-')}", want, "a value", "", step)
-        for name, need in needed.items()
-        if getattr(facts, name) and not need
-    ]
-
-
 def assumptions(recording: Recording, facts: FileFacts) -> list[Notice]:
     """Report what is assumed because neither the file nor the user says it."""
     notices, file = [], recording.file
@@ -152,83 +142,79 @@ def assumptions(recording: Recording, facts: FileFacts) -> list[Notice]:
 
 
 def with_facts(recording: Recording, facts: FileFacts) -> Recording:
-    """Return a recording with beam, averages, amplitude and length unit applied where the file is silent."""
+    """Return a recording with beam, averages, amplitude and length unit applied where the file is silent.
+
+    The noise that follows from its averages and coherence is stated in ``sd``.
+    """
     length = LENGTHS[facts.length_unit] if facts.length_unit and not recording.length_stated else 1.0
-    silent = np.any(np.isnan(recording.directions), axis=1)
-    channels = tuple(
-        replace(
-            channel,
-            direction=channel.direction if facts.direction is None or not without else facts.direction,
-            position_m=channel.position_m * length,
-        )
-        for channel, without in zip(recording.channels, silent.tolist(), strict=True)
-    )
-    value, sd, n_avg = recording.value, recording.sd, recording.n_avg
-    if facts.amplitude == "rms" and not recording.amplitude_stated:
-        peak = np.where([bool(channel.per) for channel in channels], 1.0, np.sqrt(2.0))[:, None]
-        value, sd = value * peak, None if sd is None else sd * peak
-    if facts.n_avg is not None and n_avg is None and sd is None:
-        n_avg = np.full(value.shape, float(facts.n_avg))
-    return replace(recording, channels=channels, value=value, sd=sd, n_avg=n_avg)
+    rms = facts.amplitude == "rms" and not recording.amplitude_stated
+    silent = recording.n_avg is None and recording.sd is None
+    rows = []
+    for row in recording.rows:
+        changed: dict[str, Any] = {"position_m": row.position_m * length}
+        if facts.beam and np.any(np.isnan(row.direction)):
+            changed["direction"] = direction_of(facts.beam)
+        if rms and not row.per:
+            changed["value"] = row.value * np.sqrt(2.0)
+            changed |= {} if row.sd is None else {"sd": row.sd * np.sqrt(2.0)}
+        if facts.n_avg is not None and silent:
+            changed["n_avg"] = np.full(row.value.shape, float(facts.n_avg))
+        rows.append(replace(row, **changed))
+    return replace(recording, rows=tuple(rows)).with_noise()
 
 
 def with_bodies(
-    channels: Sequence[Channel], points: Points | None, facts: FileFacts
-) -> tuple[list[Channel], list[Notice]]:
-    """Give every channel its body: by ``--body``, its file or the points file; one body needs none.
+    rows: Sequence[Row], points: Points | None, facts: FileFacts
+) -> tuple[list[Row], list[Notice]]:
+    """Give every row its body: by ``--body``, its file or the points file; one body needs none.
 
     Raises
     ------
     StapeskitError
         Points of no body, of several, or missing in the points file; a part of a rule that means no point.
     """
-    faults: list[Fault] = []
-    assigned: list[Channel] = []
-    bare: dict[str, list[str]] = {}
-    unlisted: dict[str, list[str]] = {}
-    respelled: list[str] = []
-    several = points is not None or bool(facts.body) or any(channel.body for channel in channels)
-    for channel in channels:
-        names = list(dict.fromkeys([*facts.bodies_of(channel), *filter(None, [channel.body])]))
+    faults, assigned, respelled = list[Fault](), list[Row](), list[str]()
+    bare, unlisted = defaultdict[str, list[str]](list), defaultdict[str, list[str]](list)
+    several = points is not None or bool(facts.body) or any(row.body for row in rows)
+    for row in rows:
+        ruled = [name for name, items in facts.bodies if any(_means(*item, row) for item in items)]
+        names = list(dict.fromkeys([*ruled, *filter(None, [row.body])]))
         if not names and points is not None:
-            names = points.bodies_of(channel.point)
+            names = points.bodies_of(row.point)
         if not names and several:
-            bare.setdefault(channel.file, []).append(channel.point)
+            bare[row.file].append(row.point)
             continue
         if len(names) > 1:
             step, got = "Name each point once, by file: --body base=base.uff:1-9", " and ".join(names)
-            faults.append(Fault(f"point {channel.point}", "of one body", got, channel.where, step))
-        key = ([*names, DEFAULT_BODY][0], channel.point)
+            faults.append(Fault(f"point {row.point}", "of one body", got, row.where, step))
+        key = ([*names, DEFAULT_BODY][0], row.point)
         found = key if points is None else points.key_of(*key)
-        if found is None and (channel.body or np.any(np.isnan(channel.position_m))):
-            unlisted.setdefault(key[0], []).append(channel.point)
+        if found is None and (row.body or np.any(np.isnan(row.position_m))):
+            unlisted[key[0]].append(row.point)
         elif found not in (key, None):
             respelled.append(f"{' '.join(key)} as {' '.join(found)}")
         body, point = found or key
-        assigned.append(replace(channel, body=body, point=point))
+        assigned.append(replace(row, body=body, point=point))
     for body, missing in unlisted.items():
         thing, step = f"points {list_some(missing, 8)} of body {body}", "Add them to it"
         faults.append(Fault(thing, "listed in the points file", "no rows of these names", "", step))
     for file, missing in bare.items():
         step = "Name them with --body, e.g. --body stapes=1-10 --body base=11-19, or list them in --points"
         faults.append(Fault(f"points {list_some(missing, 12)}", "of a body", "none", file, step))
-    known = list_some((channel.point for channel in channels), 20)
-    files = list_some((channel.file for channel in channels), 20)
+    known = [list_some((getattr(row, name) for row in rows), 20) for name in ("point", "file")]
     for name, items in facts.bodies:
-        unmet = [item for item in items if not any(_means(*item, channel) for channel in channels)]
+        unmet = [item for item in items if not any(_means(*item, row) for row in rows)]
         if unmet:
             got = ", ".join(":".join(filter(None, item)) for item in unmet)
-            want, step = f"points or files that were measured ({known}; {files})", "Correct the names"
-            faults.append(Fault(f"--body {name}", want, got, "", step))
+            want = f"points or files that were measured ({'; '.join(known)})"
+            faults.append(Fault(f"--body {name}", want, got, "", "Correct the names"))
     raise_all(faults)
-    if not respelled or points is None:
-        return assigned, []
-    text = f"names were read as {points.file} spells them: {list_some(respelled, 3)}."
-    return assigned, [Notice("file_read", text)]
+    text = f"names were read as {points and points.file} spells them: {list_some(respelled, 3)}."
+    return assigned, [Notice("file_read", text)] if respelled else []
 
 
-def with_runs(channels: Sequence[Channel], facts: FileFacts) -> tuple[list[Channel], list[Notice]]:
-    """Give every channel its run: by ``--run``, by its file's content, else by what the files share.
+def with_runs(rows: Sequence[Row], facts: FileFacts) -> tuple[list[Row], list[Notice]]:
+    """Give every row its run: by ``--run``, by its file's content, else by what the files share.
 
     Files without names of runs that measure one point in one direction again are different excitations, each
     named after its file; files of different points are parts of one.
@@ -238,27 +224,23 @@ def with_runs(channels: Sequence[Channel], facts: FileFacts) -> tuple[list[Chann
     StapeskitError
         A rule names no file.
     """
-    given = list(dict.fromkeys(channel.file for channel in channels))
+    given = list(dict.fromkeys(row.file for row in rows))
     raise_all(
         Fault(f"the file of --run {name}={file}", f"one of {', '.join(given)}", file, "", "Correct its name")
         for name, file in facts.runs
         if not any(is_file(file, other) for other in given)
     )
-    labelled = []
-    for channel in channels:
-        stated = next((name for name, file in facts.runs if is_file(file, channel.file)), "")
-        labelled.append(replace(channel, run=f"{stated} {channel.run}".strip()))
-    files: dict[tuple[object, ...], set[str]] = {}
-    for channel in labelled:
-        files.setdefault(channel.key, set()).add(channel.file)
+    stated = {one: next((name for name, file in facts.runs if is_file(file, one)), "") for one in given}
+    labelled = [replace(row, run=f"{stated[row.file]} {row.run}".strip()) for row in rows]
+    files = defaultdict[object, set[str]](set)
+    for row in labelled:
+        files[row.key].add(row.file)
     if all(len(names) == 1 for names in files.values()):
-        return [replace(channel, run=channel.run or DEFAULT_RUN) for channel in labelled], []
+        return [replace(row, run=row.run or DEFAULT_RUN) for row in labelled], []
     named = [
-        channel
-        if facts.runs and channel.run
-        else replace(channel, run=f"{Path(channel.file).stem} {channel.run}".strip())
-        for channel in labelled
+        row if facts.runs and row.run else replace(row, run=f"{Path(row.file).stem} {row.run}".strip())
+        for row in labelled
     ]
-    listed = list_some((channel.run for channel in named), 6)
+    listed = list_some((row.run for row in named), 6)
     text = f"the files measure the same points again: they are different runs, {listed}. --run names them."
     return named, [Notice("file_read", text)]

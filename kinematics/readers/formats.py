@@ -33,20 +33,18 @@ _EXPORT_STEP = (
     "Export the spectra of all points in the program that wrote it, as UFF (universal file, with geometry) "
     "or as ASCII (Real & Imag.), and give that file or folder"
 )
-
 _DESCRIBED_STEP = (
-    "It is not read by itself any more: give names of columns with --mapping, rms with --amplitude rms, "
-    "bodies, runs and directions with --body, --run and --beam; conjugate values of e^{-iwt}; move it away"
+    "It is not read any more: put names and units into the header, rms into --amplitude, bodies, runs and "
+    "directions into --body, --run and --beam; conjugate values of e^{-iwt}; then move it away"
 )
 
 
 @dataclass(frozen=True)
 class Head:
-    """The first bytes of a file, its ending in small letters, and whether a mapping names its columns."""
+    """The first bytes of a file, and its ending in small letters."""
 
     content: bytes
     suffix: str
-    mapped: bool = False
 
     @cached_property
     def kind(self) -> str:
@@ -112,14 +110,13 @@ FORMATS = (
         "series", "time series (.csv, .npz, .wav)",
         lambda head: head.content.startswith(_SOUND) or head.kind == "series"
         or (head.content.startswith(_ZIP) and b".npy" in head.content),
-        "with a channel table, also .mat and .h5: H1 with its noise, periodic excitation, stepped sine by "
-        "lock-in",
+        "with a channel table, also .mat and .h5: H1 with its noise, or periodic excitation",
         libraries=("numpy", "scipy.io"), series=True,
     ),
     Format(
-        "wide", "a wide table (.csv)", lambda head: head.mapped or head.kind == "wide",
+        "wide", "a wide table (.csv)", lambda head: head.kind == "wide",
         "one row a frequency and two columns a beam (`Frequency [Hz], P1 Vx Mag [mm/s], P1 Vx Phase [deg], "
-        "...`); other names by `--mapping`",
+        "...`)",
     ),
     Format(
         "tidy", "a tidy table (.csv)",
@@ -142,13 +139,11 @@ def read_file(path: Path, facts: FileFacts) -> Recording:
     """
     path = Path(path)
     path = path if path.name else path.resolve()  # the folder "." has no name
-    entry = format_of(path, facts.mapping is not None)
+    entry = format_of(path)
     described = path.with_name(f"{path.name}.toml")
-    if facts.mapping is None and path.is_file() and path.suffix and described.is_file():
-        want = "given with --mapping, or not beside the file"
-        raise StapeskitError.of(
-            f"a description {described.name}", want, "neither", path.name, _DESCRIBED_STEP
-        )
+    if path.is_file() and described.is_file():
+        thing, want = f"a description {described.name}", "not beside the file"
+        raise StapeskitError.of(thing, want, "one of version 0.2", path.name, _DESCRIBED_STEP)
     module = f"kinematics.readers.{'series' if entry.series and facts.channels else entry.name}"
     read: Callable[[Path, FileFacts], Recording] = import_module(module).read
     try:
@@ -165,8 +160,8 @@ def read_file(path: Path, facts: FileFacts) -> Recording:
         raise StapeskitError.of("the vibrometer file", "readable", got, path.name, step) from fault
 
 
-def format_of(path: Path, mapped: bool = False) -> Format:
-    """Return the format of a file or folder; with a mapping, a table that is not known is a wide one.
+def format_of(path: Path) -> Format:
+    """Return the format of a file or folder; the first text export in a folder says whether it is of it.
 
     Raises
     ------
@@ -174,36 +169,30 @@ def format_of(path: Path, mapped: bool = False) -> Format:
         There is no such file, or nothing known in it.
     """
     if path.is_dir():
-        return _format_of_folder(path)
+        files = export_files(path)
+        if any(_head_of(file).kind == "psv" for file in files):
+            return next(entry for entry in FORMATS if entry.name == "psv")
+        want, got = "one with text exports of a scanning vibrometer", f"{len(files)} other text files"
+        step = "Give the files themselves, or the folder of a text export"
+        raise StapeskitError.of("a vibrometer folder", want, got, path.name, step)
     if not path.is_file():
         step = "Check its name and folder"
         raise StapeskitError.of("the vibrometer file", "an existing file", path.name, "", step)
-    head = _head_of(path, mapped)
+    head = _head_of(path)
     held = next((entry for entry in FORMATS if entry.holds(head)), None)
     if held is not None:
         return held
-    archive, scan = head.content.startswith(_ZIP), head.suffix in (".svd", ".pvd", ".set")
     want, got = f"one of {', '.join(entry.words for entry in FORMATS)}", path.suffix or path.name
     step = "See points2dof --help for the layouts"
-    if archive:
+    if head.content.startswith(_ZIP):
         got, step = "a workbook or archive", "Save its sheet as CSV, or unpack it, and give the files in it"
-    elif scan:
+    elif head.suffix in (".svd", ".pvd", ".set"):
         want, got, step = "a compound file of PSV 10", "another scan file, or a damaged one", _EXPORT_STEP
     elif not head.content:
         got, step = "0 bytes", "Export it again"
     raise StapeskitError.of("the vibrometer file", want, got, path.name, step)
 
 
-def _head_of(path: Path, mapped: bool = False) -> Head:
+def _head_of(path: Path) -> Head:
     with path.open("rb") as stream:
-        return Head(stream.read(_HEAD_BYTES), path.suffix.lower(), mapped)
-
-
-def _format_of_folder(path: Path) -> Format:
-    """Return the format of folders; the first text export in one says whether it is of it."""
-    files = export_files(path)
-    if any(_head_of(file).kind == "psv" for file in files):
-        return next(entry for entry in FORMATS if entry.name == "psv")
-    want, got = "one with text exports of a scanning vibrometer", f"{len(files)} other text files"
-    step = "Give the files themselves, or the folder of a text export"
-    raise StapeskitError.of("a vibrometer folder", want, got, path.name, step)
+        return Head(stream.read(_HEAD_BYTES), path.suffix.lower())

@@ -1,4 +1,4 @@
-"""Frequencies of channels that were written or measured apart, joined to one grid of lines."""
+"""Frequencies of rows that were written or measured apart, joined to one grid of lines."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _spacing(lines: Array) -> Array:
     return np.asarray(np.minimum(steps[:-1], steps[1:]))
 
 
-def check_filled(rows: int, lines: int, readings: int, where: str) -> None:
+def check_filled(rows: int, lines: int, readings: int, where: str = "") -> None:
     """Refuse readings that share so few runs and lines that arrays of all of them would be almost empty.
 
     Raises
@@ -90,9 +90,9 @@ def grid_faults(freq_hz: Array, present: Mapping[str, NDArray[np.bool_]]) -> lis
         first_name, first = next(iter(measured.items()))
         common = len(np.intersect1d(first, lines))
         low, high = max(first[0], lines[0]), min(first[-1], lines[-1])
-        within = min(int(np.sum((rows >= low) & (rows <= high))) for rows in (first, lines))
+        within = min(int(np.sum((own >= low) & (own <= high))) for own in (first, lines))
         if not common or 2 * common < within:
-            spans = [f"{freq_hz[rows[0]]:.8g} to {freq_hz[rows[-1]]:.8g} Hz" for rows in (first, lines)]
+            spans = [f"{freq_hz[own[0]]:.8g} to {freq_hz[own[-1]]:.8g} Hz" for own in (first, lines)]
             want = "the same within 1 % of their spacing and 1e-4, as far as both bodies were measured"
             got = f"{len(first)} from {spans[0]} and {len(lines)} from {spans[1]}, {common} in common"
             thing, step = f"the frequencies of bodies {first_name} and {name}", "Measure both on one grid"

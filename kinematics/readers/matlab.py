@@ -3,8 +3,7 @@
 ``x`` (F, Hz) and ``y`` (points x F, complex, or ``y_re`` and ``y_im``) with the struct ``usd`` that
 GetPointData returns or a text ``unit``; ``xyz`` of GetXYZCoordinates (points x 3, m); one value a beam
 (``amp_x``, ``amp_y``, ``amp_z`` with ``usd_x`` ...); ``direction``, ``coherence``, ``sd``, ``n_avg``,
-``points``, ``body``. All of it in the file, in one struct, or in a struct
-array with one element a channel.
+``points``, ``body``. All of it in the file or in one struct.
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.gather import Row, from_parts, recording_of
-from kinematics.readers.recording import Channel, Recording, unknown_vector
+from kinematics.readers.gather import from_parts, recording_of
+from kinematics.readers.recording import Recording, Row, unknown_vector
 from kinematics.readers.text import plain_name
 from kinematics.readers.tree import STRINGS, read_tree
 from kinematics.readers.units import LENGTHS
@@ -44,7 +43,6 @@ NAMES = {
 VALUES = ("y", "v", "amp", "vib", "fft", "frf", "h1", "h2", "value")
 _VALUE = re.compile(rf"((?:{'|'.join(VALUES)})?(?:_?([xyz]))?)_?(re|im|real|imag)?")
 _DOF_TEXT = re.compile(r"ptc(Plus|Minus)([XYZ])Translation")  # names of Polytec's PTCDirection
-_LENGTH_END = re.compile(r"_(mm|um|m)$")
 _STRING_STEP = "Save it as char or cell array: names = cellstr(names); unit = char(unit); then save again"
 _STEP = (
     "Name them freq_hz and y (points x frequencies, complex), or amp_x, amp_y, amp_z, with unit and xyz, in "
@@ -61,25 +59,24 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         The file is damaged, its layout is not recognised (the variables found are listed), shapes do not
         match, or values are not complex; as `kinematics.readers.gather.recording_of`.
     """
-    path = Path(path)
+    path, notices = Path(path), list[Notice]()
     tree = read_tree(path)
     strings = [name for name, value in tree.items() if isinstance(value, str) and value == STRINGS]
     unread = f"MATLAB string arrays ({', '.join(strings)})"
-    notices = (
-        [Notice("file_read", f"{path.name}: {unread} were not read. {_STRING_STEP}.")] if strings else []
-    )
+    if strings:
+        notices.append(Notice("file_read", f"{path.name}: {unread} were not read. {_STRING_STEP}."))
     try:
-        parts = _parts_of({name: one for name, one in tree.items() if name not in strings}, path.name)
-        if unknown := list_some((name for part in parts for name in part.unknown()), 12):
+        held = _variables_of({name: one for name, one in tree.items() if name not in strings}, path.name)
+        if unknown := list_some(held.unknown(), 12):
             text = f"{path.name}: {unknown} have a value a frequency, but are no names of values: left out."
             notices.append(Notice("file_read", text))
         return recording_of(
             path.name,
-            [row for part in parts for row in part.rows()],
+            held.rows(),
             "Keep one of the signals, and save each excitation to a file of its own",
-            notices=tuple(notices),
+            notices=notices,
             statement=f"variables of {path.name}",
-            length_stated=all(bool(part.length_unit) or not part.name("position") for part in parts),
+            length_stated=bool(held.length_unit) or not held.name("position"),
         )
     except StapeskitError as error:
         want = "of char, cell or number arrays"
@@ -87,47 +84,28 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         raise StapeskitError(*first, *error.faults) from None
 
 
-def _parts_of(tree: Mapping[str, Any], file: str) -> list[Variables]:
-    """Return the variables of a file, or of its one struct, or of each element of its struct array."""
+def _variables_of(tree: Mapping[str, Any], file: str) -> Variables:
+    """Return the variables of a file, or of its one struct."""
     low = {name.lower(): value for name, value in tree.items()}
     if len(low) < len(tree):
         got, want = list_some(tree, 20), "different in more than their case"
         raise StapeskitError.of("the names of the variables", want, got, file, "Rename one of them")
-    whole = Variables(low, file)
-    if whole.name("frequency"):
-        return [whole]
-    structs = {name: elements for name, value in low.items() if (elements := _structs_of(value))}
-    if len(structs) == 1:
-        ((struct, elements),) = structs.items()
-        parts = []
-        for number, fields in enumerate(elements, 1):
-            point = str(number) if len(elements) > 1 else ""
-            inner = {name.lower(): value for name, value in fields.items()}
-            parts.append(Variables({**low, **inner}, f"{file}, {struct}", point))
-        if all(part.name("frequency") for part in parts):
-            return parts
+    structs = [value for value in low.values() if isinstance(value, Mapping)]
+    inner = {name.lower(): one for name, one in structs[0].items()} if len(structs) == 1 else {}
+    for held in (low, {**low, **inner}):
+        if (found := Variables(held, file)).name("frequency"):
+            return found
     sizes = {name: " x ".join(map(str, getattr(value, "shape", ()))) for name, value in tree.items()}
     listed = list_some((f"{name} ({size})" if size else name for name, size in sizes.items()), 12)
     raise StapeskitError.of(file, "of a known layout", f"the variables {listed or 'none'}", "", _STEP)
 
 
-def _structs_of(value: Any) -> list[Mapping[str, Any]]:
-    """Return a struct, or the elements of a struct array; nothing of other variables."""
-    listed = [value] if isinstance(value, Mapping) else value
-    found = list(listed) if isinstance(listed, list | np.ndarray) and np.shape(listed[:1]) == (1,) else []
-    return found if all(isinstance(one, Mapping) for one in found) else []
-
-
 @dataclass(frozen=True)
 class Variables:
-    """Variables by their names in small letters, of the file or of a struct before those around it.
-
-    ``point`` is the number of an element of a struct array: the name of its point where it holds none.
-    """
+    """Variables by their names in small letters, of the file or of a struct before those around it."""
 
     held: Mapping[str, Any]
-    where: str
-    point: str = ""
+    file: str
 
     def name(self, role: str, axis: str = "") -> str:
         """Return the first name of a role (a key of `NAMES`), for one beam before all; empty without one."""
@@ -137,7 +115,7 @@ class Variables:
     def refuse(self, thing: str, expected: str, got: object, step: str = "Correct and save it") -> NoReturn:
         """Refuse a variable."""
         got = " x ".join(map(str, got)) if isinstance(got, tuple) else got
-        raise StapeskitError.of(thing, expected, got, self.where, step)
+        raise StapeskitError.of(thing, expected, got, self.file, step)
 
     def numbers(self, name: str) -> NDArray[Any]:
         """Return an array of numbers."""
@@ -146,21 +124,16 @@ class Variables:
             self.refuse(f"the variable {name}", "an array of numbers", "something else")
         return value
 
-    def shaped(self, name: str, lines: int) -> NDArray[Any]:
-        """Return an array of points x lines, in either order, as (point, line)."""
-        value = np.atleast_2d(self.numbers(name))
-        value = value.T if value.shape[1] != lines else value
-        if value.ndim != 2 or value.shape[1] != lines:
-            self.refuse(f"the variable {name}", f"points x {lines} frequencies", value.shape)
-        return value
+    def shaped(self, name: str, columns: int, rows: int = 0) -> NDArray[Any]:
+        """Return an array of points x columns, in either order, as (point, column).
 
-    def vectors(self, name: str, count: int) -> Array:
-        """Return three numbers a point, (count, 3), of an array in either order or of one vector."""
-        value = self.numbers(name)
-        value = value.T if value.shape == (3, count) and count != 3 else np.atleast_2d(value)
-        if value.shape not in ((count, 3), (1, 3)):
-            self.refuse(name, f"points x 3, here {count} x 3", value.shape)
-        return np.broadcast_to(value.astype(float), (count, 3)).copy()
+        Where the number of points, ``rows``, is known, one row is that of all points.
+        """
+        value = np.atleast_2d(self.numbers(name))
+        value = value.T if value.shape[1] != columns else value
+        if value.ndim != 2 or value.shape[1] != columns or (rows and len(value) not in (1, rows)):
+            self.refuse(f"the variable {name}", f"{rows or 'points'} x {columns}", np.shape(self.held[name]))
+        return np.broadcast_to(value, (rows, columns)) if rows else value
 
     def texts(self, name: str, count: int) -> list[str]:
         """Return the texts of a variable, one a row; one is that of all rows."""
@@ -174,18 +147,17 @@ class Variables:
     @property
     def length_unit(self) -> str:
         """The unit at the end of the name of the positions; empty without one."""
-        ending = _LENGTH_END.search(self.name("position"))
-        return ending[1] if ending else ""
+        ending = self.name("position").rpartition("_")[2]
+        return ending if ending in LENGTHS else ""
 
     def rows(self) -> list[Row]:
         """Read every beam at every point; all faults of the variables together."""
         freq = self.numbers(self.name("frequency")).reshape(-1).astype(float)
         beams = self._beams()
         if not beams:
-            want, got = f"spectra named {', '.join(VALUES)}", f"the variables {list_some(self.held, 12)}"
-            raise StapeskitError.of(self.where, want, got, "", _STEP)
-        faults: list[Fault] = []
-        rows: list[Row] = []
+            want, got = f"with spectra named {', '.join(VALUES)}", f"the variables {list_some(self.held, 12)}"
+            raise StapeskitError.of(self.file, want, got, "", _STEP)
+        faults, rows = list[Fault](), list[Row]()
         for (_, axis), parts in beams.items():
             with collect_faults(faults):
                 rows += self._rows_of(parts, axis, freq)
@@ -204,17 +176,14 @@ class Variables:
     def unknown(self) -> list[str]:
         """Return the names of arrays with one value a frequency that are not read."""
         lines = np.size(self.held[self.name("frequency")])
-        known = {name for names in NAMES.values() for name in names}
-        known |= {f"{name}_{axis}" for name in known for axis in "xyz"}
-        known |= {name for parts in self._beams().values() for name in parts.values()}
+        roles = {name for names in NAMES.values() for name in names}
+        read = {name for parts in self._beams().values() for name in parts.values()}
+        read |= roles | {f"{name}_{axis}" for name in roles for axis in "xyz"}
+        arrays = {name: one for name, one in self.held.items() if isinstance(one, np.ndarray)}
         return [
             name
-            for name, value in self.held.items()
-            if name not in known
-            and isinstance(value, np.ndarray)
-            and value.dtype.kind in "fciu"
-            and lines > 1
-            and lines in value.shape
+            for name, one in arrays.items()
+            if name not in read and one.dtype.kind in "fciu" and lines > 1 and lines in one.shape
         ]
 
     def _rows_of(self, parts: Mapping[str, str], axis: str, freq: Array) -> list[Row]:
@@ -225,54 +194,48 @@ class Variables:
         if np.any(np.asarray(usd.get("PowerSignal", 0)) == 1):
             step = "Export the FFT or the FRF: an auto or cross power has no phase of its own"
             self.refuse(source, "an amplitude spectrum", "a power", step)
-        one, other = (self.shaped(parts.get(part, source), len(freq)) for part in ("re", "im"))
-        if one.shape != other.shape or ({"re", "im"} - set(parts) and not np.iscomplexobj(one)):
+        value, other = (self.shaped(parts.get(part, source), len(freq)) for part in ("re", "im"))
+        if value.shape != other.shape or ({"re", "im"} - set(parts) and not np.iscomplexobj(value)):
             want, step = "complex, or of two parts", "Export Real & Imag.: without phase there is no motion"
             self.refuse(f"the variable {source}", want, "real numbers alone", step)
-        value = one if np.iscomplexobj(one) else from_parts(one, np.real(other))
+        value = value if np.iscomplexobj(value) else from_parts(value, np.real(other))
         count, lines = value.shape
-        names = self.texts(self.name("points"), count) if self.name("points") else [self.point] * count
+        names = self.texts(self.name("points"), count)
         if not any(names) or (count > 1 and len(set(names)) == 1):  # one text for all is a title
             names = [str(k) for k in range(1, count + 1)]
         bodies, places = self.texts("body", count), np.full((count, 3), np.nan)
-        if self.name("position"):
-            places = self.vectors(self.name("position"), count) * LENGTHS[self.length_unit or "m"]
+        if name := self.name("position"):
+            places = self.shaped(name, 3, count).astype(float) * LENGTHS[self.length_unit or "m"]
         noise = {}
         for role in ("sd", "coherence", "n_avg"):
             if name := self.name(role, axis):
-                known = self.numbers(name)
-                known = known.reshape(1, 1) if known.size == 1 else self.shaped(name, lines)
-                if known.shape[0] not in (1, count):
-                    self.refuse(name, f"of {count} points as the values", known.shape)
+                single = np.size(self.held[name]) == 1
+                known = self.numbers(name).reshape(1, 1) if single else self.shaped(name, lines, count)
                 noise[role] = np.broadcast_to(np.real(known).astype(float), value.shape)
         words = (self.held.get(name, "") for name in (self.name("unit"), "amplitude"))
         unit, amplitude = (word if isinstance(word, str) else "" for word in words)
-        unit = f"{unit or usd.get('YUnit', '')} {amplitude}".strip()
         directions = self._directions(axis, usd, count)
-        rows = []
-        for k in range(count):
-            channel = Channel(
-                names[k],
-                bodies[k],
-                position_m=places[k],
-                direction=directions[k],
-                where=Place(f"{self.where}, {source}", "row", (int(self.point or k + 1),)),
+        return [
+            Row(
+                names[k], freq, value[k], f"{unit or usd.get('YUnit', '')} {amplitude}".strip(), bodies[k],
+                position_m=places[k], direction=directions[k], source=source,
+                where=Place(f"{self.file}, {source}", "row", (k + 1,)),
+                **{role: matrix[k] for role, matrix in noise.items()},
             )
-            given = {role: matrix[k] for role, matrix in noise.items()}
-            rows.append(Row(channel, freq, value[k], **given, unit=unit, source=source))
-        return rows
+            for k in range(count)
+        ]  # fmt: skip
 
     def _directions(self, axis: str, usd: Mapping[str, Any], count: int) -> Array:
         """Return the direction of the beam at every point, (count, 3), NaN where it is not stated."""
         stated = axis or self.held.get(self.name("direction"), "")
         if not isinstance(stated, str):
-            return self.vectors(self.name("direction"), count)
-        vector = axis_vector(stated) if stated else None
+            return self.shaped(self.name("direction"), 3, count).astype(float)
         dofs = usd.get("ResponseDOFs")  # +-1, 2, 3 for +-x, y, z, or texts
         dofs = dofs[0] if isinstance(dofs, list | np.ndarray) and len(dofs) else dofs
         code = dofs.get("Direction") if isinstance(dofs, Mapping) and not stated else 0
         if isinstance(code, str) and (text := _DOF_TEXT.fullmatch(code)):
-            vector = axis_vector(("-" if text[1] == "Minus" else "") + text[2].lower())
+            stated = ("-" if text[1] == "Minus" else "") + text[2].lower()
         if isinstance(code, int | float) and abs(code) in (1, 2, 3):
-            vector = np.sign(code) * np.eye(3)[int(abs(code)) - 1]
+            stated = ("-" if code < 0 else "") + "xyz"[int(abs(code)) - 1]
+        vector = axis_vector(stated) if stated else None
         return np.tile(unknown_vector() if vector is None else vector, (count, 1))

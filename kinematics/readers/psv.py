@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.gather import Row, recording_of
-from kinematics.readers.recording import Recording, unknown_vector
-from kinematics.readers.sheets import Sheet, number_of, refuse, sheets_of
-from kinematics.readers.text import decoded, export_files, shown
+from kinematics.readers.gather import recording_of
+from kinematics.readers.recording import Recording, Row, unknown_vector
+from kinematics.readers.sheets import Sheet, number_of, sheets_of
+from kinematics.readers.text import decoded, export_files
 from kinematics.readers.units import HERTZ, LENGTHS, is_none, plain
 from kinematics.readers.wide import frequencies_of, rows_of
 from stapeskit.arrays import Array
@@ -31,7 +31,6 @@ from stapeskit.warnings import Notice
 _FREQUENCY = ("frequency", "frequenz", "fréquence")
 _POINT = ("point index", "punktindex", "punkt-index")
 _COMPONENT = ("component", "komponente", "composante", "signal")
-_SOURCE = ("source file name",)
 _INDEX = ("index", *_POINT)
 _AXIS = re.compile(r"(?:^|\bvib)\s*(?:vib\s*)?([+-]?)([xyz])\b", re.IGNORECASE)
 _PLACE = re.compile(
@@ -61,14 +60,13 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         Cells that are no numbers, missing columns or headers, tables of several scans; as `recording_of`.
     """
     path = Path(path)
-    faults: list[Fault] = []
+    faults, rows, stated = list[Fault](), list[Row](), True
     files = export_files(path) if path.is_dir() else [path]
     sheets = [sheet for file in files for sheet in sheets_of(decoded(file.read_bytes()), file.name, faults)]
     raise_all(faults)
     if is_fastscan(sheets[0]):
         rows, stated = _of_frequencies(sheets)
     else:
-        rows, stated = [], True
         for sheet in sheets:
             with collect_faults(faults):
                 found, length_stated = _of_point(sheet)
@@ -80,7 +78,7 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         path.name,
         rows,
         twice=_APART,
-        notices=(*_treatments(sheets, path.name), *_beam_notices(rows, path.name)),
+        notices=_notices(sheets, rows, path.name),
         statement=f"coordinates of the scan, {units}",
         length_stated=stated,
     )
@@ -92,33 +90,30 @@ def _of_frequencies(sheets: Sequence[Sheet]) -> tuple[list[Row], bool]:
     Raises
     ------
     StapeskitError
-        Tables of several scans (sources, columns, points, positions), or of no or one frequency twice.
+        Tables of several scans: of other sources, columns, points or positions.
     """
     first = sheets[0]
     names, positions, stated = _points(first)
-    freq = np.array([_frequency(sheet) for sheet in sheets])
-    faults = []
-    for number, sheet in enumerate(sheets):
+    freq, faults = np.array([_frequency(sheet) for sheet in sheets]), list[Fault]()
+    for sheet in sheets:
         others, places, _ = _points(sheet)
         differences = {
-            "another source": sheet.field_of(_SOURCE) != first.field_of(_SOURCE),
+            "another source": sheet.fields.get("source file name") != first.fields.get("source file name"),
             "other columns": (sheet.names, sheet.units) != (first.names, first.units),
             "other points": others != names,
             "other positions": others == names
             and not np.allclose(places, positions, 1e-5, _SAME_PLACE_M, equal_nan=True),
-            f"{freq[number]:g} Hz again": freq[number] in freq[:number],
         }
         if got := ", ".join(text for text, true in differences.items() if true):
-            want = "of one scan, each of another frequency"
-            faults.append(Fault("the tables", want, got, sheet.where, _APART))
+            faults.append(Fault("the tables", "of one scan", got, sheet.where, _APART))
     raise_all(faults)
     beams, _ = rows_of(replace(first, numbers=np.stack([sheet.numbers for sheet in sheets])), freq)
     rows = []
     for k, name in enumerate(names):
         for row in beams:
             coherence = None if row.coherence is None else np.asarray(row.coherence)[:, k]
-            channel = replace(row.channel, point=name, position_m=positions[k])
-            rows.append(replace(row, channel=channel, value=row.value[:, k], coherence=coherence))
+            found = replace(row, point=name, position_m=positions[k], value=row.value[:, k])
+            rows.append(replace(found, coherence=coherence))
     return rows, stated
 
 
@@ -134,14 +129,14 @@ def _of_point(sheet: Sheet) -> tuple[list[Row], bool]:
     number = re.match(r"\s*(\d+)", text)
     if number is None:
         want, step = "one with a line Point Index: <n>", "Leave other files out of the folder"
-        raise refuse(sheet, "the header", want, shown(text) or "none", step)
+        raise sheet.refuse("the header", want, text, step)
     position, stated = unknown_vector(), True
     found = {match[1].lower(): match for match in _PLACE.finditer(text, number.end())}
     if len(found) == 3:
         numbers = [number_of(found[axis][2].rstrip(",.").replace(",", ".")) for axis in "xyz"]
         units = {match[3] for match in found.values() if match[3]}
         if None in numbers or len(units) > 1:
-            raise refuse(sheet, "the position of a point", "three numbers, x = .. y = .. z = ..", shown(text))
+            raise sheet.refuse("the position of a point", "three numbers, x = .. y = .. z = ..", text)
         position = np.array(numbers, dtype=float) * (LENGTHS[plain(min(units)).lower()] if units else 1.0)
         stated = bool(units)
     fields = (sheet.fields[name] for name in _COMPONENT if name in sheet.fields)
@@ -149,10 +144,9 @@ def _of_point(sheet: Sheet) -> tuple[list[Row], bool]:
     direction = axis_vector(axis[1].replace("+", "") + axis[2].lower()) if axis else None
     rows = []
     for row in rows_of(sheet, frequencies_of(sheet))[0]:
-        channel = replace(row.channel, point=number[1], position_m=position)
-        if direction is not None and np.any(np.isnan(channel.direction)):
-            channel = replace(channel, direction=direction)
-        rows.append(replace(row, channel=channel))
+        if direction is not None and np.any(np.isnan(row.direction)):
+            row = replace(row, direction=direction)
+        rows.append(replace(row, point=number[1], position_m=position))
     return rows, stated
 
 
@@ -162,8 +156,8 @@ def _points(sheet: Sheet) -> tuple[list[str], Array, bool]:
     column = next((low.index(name) for name in _INDEX if name in low), None)
     numbers = np.array([np.nan]) if column is None else sheet.numbers[:, column]
     if not np.all(numbers == np.round(numbers)) or len(np.unique(numbers)) < len(numbers):
-        want, got = "one with a column Index of different whole numbers", shown(", ".join(sheet.names))
-        raise refuse(sheet, "the table", want, got, "Export it again")
+        want, got = "one with a column Index of different whole numbers", ", ".join(sheet.names)
+        raise sheet.refuse("the table", want, got, "Export it again")
     names = [f"{number:.0f}" for number in numbers.tolist()]
     if not {"x", "y", "z"} <= set(low):
         return names, np.full((len(names), 3), np.nan), True
@@ -171,8 +165,8 @@ def _points(sheet: Sheet) -> tuple[list[str], Array, bool]:
     labels = {plain(sheet.units[column]) for column in places}
     label = min(labels)
     if len(labels) > 1 or not (is_none(label) or label in LENGTHS):
-        got, step = shown(", ".join(sorted(labels))), "Export them in metres"
-        raise refuse(sheet, "the unit of X, Y, Z", "one length unit", got, step)
+        got, step = ", ".join(sorted(labels)), "Export them in metres"
+        raise sheet.refuse("the unit of X, Y, Z", "one length unit", got, step)
     return names, sheet.numbers[:, places] * LENGTHS.get(label, 1.0), not is_none(label)
 
 
@@ -183,27 +177,25 @@ def _frequency(sheet: Sheet) -> float:
     number = number_of(match[1].replace(",", ".")) if match else None
     if match is None or number is None:
         want, step = "one with a line Frequency: <f> Hz", "Export the bands of a FastScan with their header"
-        raise refuse(sheet, "the header", want, shown(text) or "none", step)
+        raise sheet.refuse("the header", want, text, step)
     return number * HERTZ[match[2].lower()]
 
 
-def _treatments(sheets: Sequence[Sheet], file: str) -> list[Notice]:
-    """Report values that were mixed between points."""
+def _notices(sheets: Sequence[Sheet], rows: Sequence[Row], file: str) -> list[Notice]:
+    """Report values that were mixed between points, and x, y, z at a point, computed from several beams."""
     marks = [sheet.fields.get(mark, "") for mark in ("interpolated", "filtered") for sheet in sheets]
-    text = (
+    mixed = (
         f"{file} was exported interpolated or filtered: values were mixed between points, so that points do "
         "not err independently. Export the measured values."
     )
-    mixed = any(mark.strip().lower() in ("yes", "ja", "oui", "1") for mark in marks)
-    return [Notice("file_read", text)] if mixed else []
-
-
-def _beam_notices(rows: Sequence[Row], file: str) -> list[Notice]:
-    """Report x, y, z at a point, which scanning vibrometers compute from several beams."""
-    beams = {(row.channel.point, row.channel.beam_key) for row in rows}
-    text = (
+    computed = (
         f"{file} holds x, y, z computed from several beams: their noise is correlated, and larger across the "
         "beams than along them; sd and verdicts, which take channels as independent, are approximate. Export "
         "the single heads with their directions where possible."
     )
-    return [Notice("axes_from_beams", text)] if len(beams) > len({point for point, _ in beams}) else []
+    treated = any(mark.strip().lower() in ("yes", "ja", "oui", "1") for mark in marks)
+    several = len({row.beam for row in rows}) > len({row.point for row in rows})
+    return [
+        *([Notice("file_read", mixed)] if treated else []),
+        *([Notice("axes_from_beams", computed)] if several else []),
+    ]

@@ -2,7 +2,7 @@
 
 Files: a CSV with a column ``time_s`` and one column a channel; arrays of samples by the names of their
 channels with ``sample_rate_hz`` (``fs``) or ``time_s`` (``t``); WAV, whose channels are named 1, 2, ... and
-scaled to full scale = 1. ``freq_hz`` is the set frequency of a stepped sine at each sample.
+scaled to full scale = 1.
 
 The table of channels, one row a channel::
 
@@ -16,22 +16,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kinematics.readers.facts import FileFacts, direction_of, is_file
-from kinematics.readers.gather import Row, recording_of
+from kinematics.readers.gather import recording_of
 from kinematics.readers.points import cell_faults, require, text_of
-from kinematics.readers.recording import SI_UNITS, Channel, Recording, unknown_vector
+from kinematics.readers.recording import Recording, Row, unknown_vector
 from kinematics.readers.text import plain_name, shown
 from kinematics.readers.tree import read_tree
-from kinematics.readers.units import MOTIONS, is_none, motion_unit, plain
-from kinematics.signals.frf import Frf, periodic_frf, segment_for, welch_frf
-from kinematics.signals.lock_in import Step, stepped_frf
-from kinematics.signals.samples import sample_notices
+from kinematics.readers.units import MOTIONS, SI_UNITS, MotionUnit, is_none, motion_unit, plain
+from kinematics.signals.frf import periodic_frf, welch_frf
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError, collect_faults, list_some, raise_all
 from stapeskit.units import HIGHEST_HZ, LARGEST
@@ -47,20 +44,26 @@ RATES = ("sample_rate_hz", "sample_rate", "fs", "fs_hz")
 _NUMBERS = ("dir_x", "dir_y", "dir_z", "x_mm", "y_mm", "z_mm", "sensitivity")
 _TEXTS = ("channel", "role", "body", "point", "dir", "unit", "run", "file")
 _JITTER = 0.1  # difference of sampling times, in samples, that counts as rounding of written times
-_ONE_ROW = "Save each channel under a name of its own, and each record to a file (column file of the table)"
 _SHORTEST = 16  # samples; shorter records hold no spectrum
+_CLIPPED = 3  # neighbouring samples at an extreme, and such stretches: a smooth signal touches it once
+_ONE_ROW = "Save each channel under a name of its own, and each record to a file (column file of the table)"
+_STEPS = "Give the amplitudes and phases of its steps as a tidy table, or cut the record by its steps"
 
 
 @dataclass(frozen=True)
 class Listed:
-    """One row of the table of channels: ``scale`` leads from the numbers of the file to SI, or to ``per``."""
+    """One row of the table of channels.
+
+    ``scale`` leads from the numbers of the file to SI, or to the unit ``per`` of a reference; ``row`` has no
+    values yet.
+    """
 
     name: str
     role: str
     file: str
     scale: float
     per: str
-    channel: Channel
+    row: Row
 
 
 def read(path: Path, facts: FileFacts) -> Recording:
@@ -76,47 +79,49 @@ def read(path: Path, facts: FileFacts) -> Recording:
     if facts.channels is None:
         step = "Write a table with channel, role, body, point, dir and unit; see points2dof --help"
         raise StapeskitError.of("time series", "read with --channels FILE", "none", path.name, step)
-    listed = [row for row in read_channels(facts.channels) if not row.file or is_file(row.file, path.name)]
-    responses = [row for row in listed if row.role == "response"]
-    references = [row for row in listed if row.role == "reference"]
-    if not responses or len(references) > 1:
-        want = f"with responses of {path.name} and at most one reference"
+    listed = [one for one in read_channels(facts.channels) if not one.file or is_file(one.file, path.name)]
+    responses = [one for one in listed if one.role == "response"]
+    references = [one for one in listed if one.role == "reference"]
+    if not responses or len(references) != 1:
+        want = f"with responses of {path.name} and one reference (the generator, a microphone)"
         got, step = f"{len(responses)} and {len(references)}", "Give the others the role ignore"
         raise StapeskitError.of("the table of channels", want, got, facts.channels.name, step)
-    names = [row.name for row in (*responses, *references)]
-    rate, samples, set_hz = _read_samples(path, names)
-    notices = sample_notices({name: [one] for name, one in samples.items()}, path.name)
-    alive = [row for row in responses if np.ptp(samples[row.name]) > 0.0]
-    if silent := [row.name for row in responses if np.ptp(samples[row.name]) == 0.0]:
+    rate, samples = _read_samples(path, [one.name for one in (*responses, *references)])
+    notices = []
+    silent = {name for name, one in samples.items() if np.ptp(one) == 0.0}
+    alive = [one for one in responses if one.name not in silent]
+    if not alive or references[0].name in silent:
+        got, step = f"one value in all samples of {list_some(silent)}", "Check that it was connected"
+        raise StapeskitError.of("reference and responses", "with a signal", got, path.name, step)
+    if silent:
         text = f"{list_some(silent, 6)} of {path.name} hold one value throughout and are left out."
         notices.append(Notice("zero_rows", text))
-    if not alive:
-        step = "Check that the channels were connected"
-        raise StapeskitError.of("the responses", "with a signal", "one value in all", path.name, step)
-    lead = samples[references[0].name] * references[0].scale if references else None
-    signals = np.array([samples[row.name] * row.scale for row in alive])
-    frf = _estimate(lead, signals, rate, set_hz, facts, path.name)
-    per = references[0].per if references else ""
+    if clipped := [name for name, one in samples.items() if _is_clipped(one)]:
+        text = (
+            f"{', '.join(clipped)} of {path.name}: neighbouring samples lie at the largest or smallest value "
+            "again and again. The responses are too small there: lower the level or take a wider range."
+        )
+        notices.append(Notice("samples_stuck", text))
+    lead = samples[references[0].name] * references[0].scale
+    signals = np.array([samples[one.name] * one.scale for one in alive])
+    if facts.period_s is not None:
+        frf = periodic_frf(lead, signals, rate, facts.period_s, path.name)
+    else:
+        frf = welch_frf(lead, signals, rate, facts.averages, path.name)
     rows = [
-        Row(
-            replace(one.channel, per=per),
-            frf.freq_hz,
-            frf.value[k],
+        replace(
+            one.row,
+            freq_hz=frf.freq_hz,
+            value=frf.value[k],
+            unit=MotionUnit(one.row.order, per=references[0].per),
             sd=frf.sd[k],
-            coherence=None if frf.coherence is None else frf.coherence[k],
-            n_avg=None if np.isnan(frf.n_avg) else frf.n_avg,
-            common_sd=frf.common_sd,
+            coherence=frf.coherence[k],
+            n_avg=frf.n_avg,
         )
         for k, one in enumerate(alive)
     ]
-    return recording_of(
-        path.name,
-        rows,
-        notices=(*notices, *frf.notices),
-        statement=f"time series at {rate:g} Hz",
-        line_spread=frf.line_spread,
-        amplitude_stated=True,
-    )
+    statement, spread = f"time series at {rate:g} Hz", frf.line_spread
+    return recording_of(path.name, rows, notices=notices, statement=statement, line_spread=spread)
 
 
 def read_channels(path: Path) -> list[Listed]:
@@ -139,25 +144,25 @@ def read_channels(path: Path) -> list[Listed]:
     if "sensitivity" in table.numbers:
         step = "Give the factor from the numbers of the file to unit"
         faults += cell_faults(table, "sensitivity", 1.0 / LARGEST, LARGEST, step)
-    listed = [_listed(table, row, faults) for row in range(len(table))]
-    keys = [(row.name, row.file) for row in listed]
+    listed = [_listed(table, line, faults) for line in range(len(table))]
+    keys = [(one.name, one.file) for one in listed]
     faults += [
         Fault(f"channel {key[0]}", "listed once", "it again", table.where(number), "Keep one row")
         for number, key in enumerate(keys)
         if key in keys[:number]
     ]
     raise_all(faults)
-    return [row for row in listed if row.role != "ignore"]
+    return [one for one in listed if one.role != "ignore"]
 
 
-def _listed(table: Table, row: int, faults: list[Fault]) -> Listed:
+def _listed(table: Table, line: int, faults: list[Fault]) -> Listed:
     """Read one row of the table of channels; what is wrong is added to the faults."""
-    texts = {name: text_of(table, name, row) for name in _TEXTS}
-    numbers = {name: table.numbers.get(name, np.full(row + 1, np.nan))[row] for name in _NUMBERS}
-    where, role = table.where(row), texts["role"].lower() or "response"
+    texts = {name: text_of(table, name, line) for name in _TEXTS}
+    numbers = {name: table.numbers.get(name, np.full(line + 1, np.nan))[line] for name in _NUMBERS}
+    where, role = table.where(line), texts["role"].lower() or "response"
     factor = 1.0 if np.isnan(numbers["sensitivity"]) else float(numbers["sensitivity"])
     unit = motion_unit(texts["unit"])
-    unit = None if unit is None or unit.per else unit
+    unit = None if unit is None or unit.per or unit.amplitude else unit
     if role not in ROLES or not texts["channel"]:
         got, want = shown(f"{texts['channel']} {role}"), f"a name, and one of {', '.join(ROLES)}"
         faults.append(Fault("channel and role", want, got, where))
@@ -170,71 +175,68 @@ def _listed(table: Table, row: int, faults: list[Fault]) -> Listed:
         direction = np.array([numbers[name] for name in _NUMBERS[:3]])
         with collect_faults(faults):
             direction = direction_of(texts["dir"], where, "dir") if texts["dir"] else direction
-    channel = Channel(
+    row = Row(
         plain_name(texts["point"]) or "1",
+        np.empty(0),
+        np.empty(0, dtype=complex),
+        unit or MotionUnit(),
         texts["body"],
         texts["run"],
-        order=unit.order if unit else 1,
         direction=direction,
         where=where,
         position_m=1e-3 * np.array([numbers[name] for name in _NUMBERS[3:6]]),
     )
-    scale = factor * (unit.scale if unit else 1.0)
     per = SI_UNITS[unit.order] if unit else plain(texts["unit"])
-    return Listed(texts["channel"], role, texts["file"], scale, per, channel)
+    return Listed(texts["channel"], role, texts["file"], factor * (unit.scale if unit else 1.0), per, row)
 
 
-def _read_samples(path: Path, names: Sequence[str]) -> tuple[float, dict[str, Array], Array | None]:
-    """Return sampling rate, Hz, samples of the named channels, and the set frequencies of a stepped sine.
+def _read_samples(path: Path, names: Sequence[str]) -> tuple[float, dict[str, Array]]:
+    """Return the sampling rate, Hz, and the samples of the named channels.
 
     Raises
     ------
     StapeskitError
         A channel is missing (those found are listed) or has several rows, channels of several lengths, times
-        that are not evenly spaced, no sampling rate, or samples that are no finite numbers.
+        that are not evenly spaced, no sampling rate, a stepped sine, or samples that are no finite numbers.
     """
-    arrays = {
-        name.lower(): np.asarray(value)
-        for name, value in reversed(list(_arrays(path, names).items()))
-        if np.asarray(value).dtype.kind in "fiu" and np.size(value)
-    }
-    wanted = {"freq_hz", *(name.lower() for name in names)}
-    faults = [
-        Fault(
-            f"the variable {name}", "one row of samples", " x ".join(map(str, one.shape)), path.name, _ONE_ROW
-        )
-        for name, one in arrays.items()
-        if name in wanted and max(one.shape, default=1) < one.size
-    ]
-    raise_all(faults)
-    held = {name: one.reshape(-1) for name, one in arrays.items()}
-    listed = list_some(reversed(list(held)), 20) or "none"
+    arrays = {name.lower(): np.asarray(value) for name, value in _arrays(path, names).items()}
+    held = {name: one for name, one in arrays.items() if one.dtype.kind in "fiu" and one.size}
+    listed = list_some(held, 20) or "none"
     if missing := [name for name in names if name.lower() not in held]:
         want = f"in the file, which has {listed}"
         raise StapeskitError.of(f"channel {list_some(missing)}", want, "no such one", path.name)
-    samples = {name: held[name.lower()].astype(float) for name in names}
-    set_hz = held.get("freq_hz")
+    samples = {name: held[name.lower()] for name in names}
+    raise_all(
+        Fault(
+            f"the variable {name}", "one row of samples", " x ".join(map(str, one.shape)), path.name, _ONE_ROW
+        )
+        for name, one in samples.items()
+        if max(one.shape, default=1) < one.size
+    )
+    samples = {name: one.reshape(-1).astype(float) for name, one in samples.items()}
     counts = {name: len(one) for name, one in samples.items()}
-    counts |= {} if set_hz is None else {"freq_hz": len(set_hz)}
     longest = max(counts.values())
     if len(set(counts.values())) > 1 or longest < _SHORTEST:
         got = ", ".join(f"{name} {count}" for name, count in counts.items())
         want, step = f"of one number of samples, {_SHORTEST} at least", "Resample them to one rate"
         raise StapeskitError.of("the channels", want, got, path.name, step)
-    times = [held[name].astype(float) for name in TIMES if name in held and len(held[name]) == longest]
-    rate = next((float(held[name][0]) for name in RATES if name in held and len(held[name]) == 1), np.nan)
-    if times:
-        rate = sampling_rate(times[0], path.name)
-    elif not 0.0 < rate <= HIGHEST_HZ:
+    if np.size(held.get("freq_hz", [])) == longest:
+        got = "one with a frequency at each sample, a stepped sine"
+        raise StapeskitError.of("the record", "of random or periodic excitation", got, path.name, _STEPS)
+    times = [held[name].reshape(-1).astype(float) for name in TIMES if np.size(held.get(name, [])) == longest]
+    rates = [float(held[name].reshape(-1)[0]) for name in RATES if np.size(held.get(name, [])) == 1]
+    rate = sampling_rate(times[0], path.name) if times else [*rates, np.nan][0]
+    if not 0.0 < rate <= HIGHEST_HZ:
         step, got = "Add sample_rate_hz (a number) or time_s (s, one a sample)", f"the variables {listed}"
         raise StapeskitError.of("the file", "with a positive sampling rate", got, path.name, step)
+    faults = []
     for name, one in samples.items():
         if np.any(bad := ~(np.abs(one) <= LARGEST)):
             got = f"{int(np.sum(bad))} others, the first at sample {int(np.argmax(bad)) + 1}"
             want, step = f"finite and below {LARGEST:g}", "Cut the record, or leave the channel out"
             faults.append(Fault(f"the samples of channel {name}", want, got, path.name, step))
     raise_all(faults)
-    return rate, samples, set_hz
+    return rate, samples
 
 
 def _arrays(path: Path, names: Sequence[str]) -> Mapping[str, Any]:
@@ -288,24 +290,12 @@ def sampling_rate(time: Array, where: str) -> float:
     return 1.0 / step
 
 
-def _estimate(
-    lead: Array | None, signals: Array, rate: float, set_hz: Array | None, facts: FileFacts, file: str
-) -> Frf:
-    """Estimate responses as the excitation is: steps, a period, or segments of anything else.
-
-    ``lead`` (sample,) is the reference, ``signals`` (channel, sample) the responses.
-    """
-    if set_hz is not None:
-        edges = [0, *(np.flatnonzero(np.diff(set_hz)) + 1).tolist(), len(set_hz)]
-        steps = [
-            Step(float(set_hz[a]), None if lead is None else lead[a:b], signals[:, a:b])
-            for a, b in pairwise(edges)
-            if set_hz[a] > 0.0
-        ]
-        return stepped_frf(steps, rate, file)
-    if lead is None:
-        step = "Give a channel the role reference, e.g. the generator or a microphone"
-        raise StapeskitError.of("the table of channels", "with a reference", "none", file, step)
-    if facts.period_s is not None:
-        return periodic_frf([(lead, signals)], rate, facts.period_s, file)
-    return welch_frf([(lead, signals)], rate, segment_for(len(lead), max(3, facts.averages)), file)
+def _is_clipped(samples: Array) -> bool:
+    """Return whether samples (n,) stay at an extreme in three stretches or more, and not at rest."""
+    low, high, middle = float(np.min(samples)), float(np.max(samples)), float(np.median(samples))
+    for extreme in (low, high):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], samples == extreme, [0]])))
+        long = np.diff(edges)[::2] >= _CLIPPED
+        if abs(middle - extreme) > 0.01 * (high - low) and np.sum(long) >= _CLIPPED:
+            return True
+    return False

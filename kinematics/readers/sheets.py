@@ -40,6 +40,10 @@ class Sheet:
         """Return the value of the first ``Name: value`` line that is there; empty without one."""
         return next((self.fields[name] for name in names if name in self.fields), "")
 
+    def refuse(self, thing: str, expected: str, got: str, step: str = "") -> StapeskitError:
+        """Return the error of the table, at its line of names."""
+        return StapeskitError.of(thing, expected, shown(got) or "none", self.where, step)
+
 
 def sheets_of(text: str, file: str, faults: list[Fault]) -> list[Sheet]:
     """Read every table of a text; what is wrong with their rows and cells is added to the faults."""
@@ -81,24 +85,17 @@ def _header(above: Sequence[Line], file: str) -> tuple[Sheet, str]:
         units = [cell.strip("[]() ") for cell in names]
         number, line = above[-2]
         names = _cells(line, separator)
-    named = [name_and_unit(cell) for cell in names]
-    units += [""] * (len(named) - len(units))
-    matches = [match for _, line in above if (match := _FIELD.match(line))]
+    matches = [_UNIT.search(cell) for cell in names]
+    inline = ["" if match is None else (match[1] or match[2] or "").strip() for match in matches]
+    units += [""] * (len(names) - len(units))
+    fields = [match for _, line in above if (match := _FIELD.match(line))]
     sheet = Sheet(
         Place(file, "line", (number,)),
-        tuple(name for name, _ in named),
-        tuple(unit or below for (_, unit), below in zip(named, units, strict=False)),
-        {match[1].strip().lower(): match[2].strip(" \t;") for match in matches},
+        tuple(_UNIT.sub("", cell).strip() for cell in names),
+        tuple(own or below for own, below in zip(inline, units, strict=False)),
+        {match[1].strip().lower(): match[2].strip(" \t;") for match in fields},
     )
     return sheet, separator
-
-
-def name_and_unit(cell: str) -> tuple[str, str]:
-    """Split ``Real X [m/s]`` into the name and the unit, which is empty without one."""
-    match = _UNIT.search(cell)
-    if match is None:
-        return cell.strip(), ""
-    return cell[: match.start()].strip(), (match[1] or match[2] or "").strip()
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -139,8 +136,3 @@ def number_of(cell: str) -> float | None:
         return float(cell)
     except ValueError:
         return None
-
-
-def refuse(sheet: Sheet, thing: str, expected: str, got: str, step: str = "") -> StapeskitError:
-    """Return the error of a table, at its line of names."""
-    return StapeskitError.of(thing, expected, got, sheet.where, step)

@@ -21,8 +21,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.gather import Row, recording_of
-from kinematics.readers.recording import Channel, Recording, unknown_vector
+from kinematics.readers.gather import recording_of
+from kinematics.readers.recording import Recording, Row, unknown_vector
+from kinematics.readers.units import MotionUnit
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Place, StapeskitError
 from stapeskit.warnings import Notice
@@ -118,8 +119,7 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         Another version, mode, quantity or number of channels than the reader knows, or a damaged file.
     """
     path = Path(path)
-    scan = read_scan(path)
-    notices = []
+    scan, notices = read_scan(path), list[Notice]()
     measured = ~np.all(np.isnan(scan.cross * scan.auto * scan.auto_reference), axis=1)
     if not np.all(measured):
         text = f"{np.sum(~measured)} points of {path.name} were not measured and are left out."
@@ -132,21 +132,24 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
             "confirm: compare it with the direction that the PSV program shows."
         )
         notices.append(Notice("axes_assumed", text))
-    per = REFERENCES.get(scan.reference_code, f"unit of {scan.names[1]}")
+    unit = MotionUnit(1, per=REFERENCES.get(scan.reference_code, f"unit of {scan.names[1]}"))
     # the ratio of powers of an empty line is no number: a missing value
     with np.errstate(divide="ignore", invalid="ignore"):
         response, coherence = scan.h1, np.minimum(scan.coherence, 1.0)
     response[~np.isfinite(response)] = np.nan
-    rows = []
-    for point in np.flatnonzero(measured).tolist():
-        place, where = scan.points_m[point], Place(path.name, "point", (point + 1,))
-        channel = Channel(str(point + 1), per=per, position_m=place, direction=direction, where=where)
-        rows.append(Row(channel, scan.freq_hz, response[point], None, coherence[point], scan.averages))
+    rows = [
+        Row(
+            str(point + 1), scan.freq_hz, response[point], unit, position_m=scan.points_m[point],
+            direction=direction, coherence=coherence[point], n_avg=float(scan.averages),
+            where=Place(path.name, "point", (point + 1,)),
+        )
+        for point in np.flatnonzero(measured).tolist()
+    ]  # fmt: skip
     statement = (
         f"PSV {scan.version}, aligned coordinates in metres, H1 of {scan.names[0]} over {scan.names[1]}, "
         f"{scan.averages} averages"
     )
-    return recording_of(path.name, rows, notices=tuple(notices), statement=statement, amplitude_stated=True)
+    return recording_of(path.name, rows, notices=notices, statement=statement)
 
 
 def read_scan(path: Path) -> Scan:

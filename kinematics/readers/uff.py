@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.gather import Row, fault_of, recording_of
-from kinematics.readers.recording import Channel, Recording, unknown_vector
+from kinematics.readers.gather import recording_of
+from kinematics.readers.recording import Recording, Row, unknown_vector
 from kinematics.readers.text import CUT, shown
 from kinematics.readers.units import MotionUnit, is_none, motion_unit, plain
 from stapeskit.arrays import Array
@@ -43,12 +44,15 @@ ORDERS = {8: 0, 11: 1, 12: 2}
 REFERENCES = {13: "N", 9: "N", 15: "Pa", 8: "m", 11: "m/s", 12: "m/s2"}
 """Units of the denominator by its data characteristic."""
 
-_ONE_EXCITATION = "Export one signal of one excitation to each file (reference, load case or version)"
+_ONE_EXCITATION = (
+    "Export one signal of one excitation to each file (reference, load case or version), with the direction "
+    "of every function in its record 6 (a direction that stands in its text alone is not read)"
+)
 _FREQUENCY = (0, 1, 18)  # data characteristics of the abscissa: unknown, general, frequency
 _BINARY = re.compile(rb"^ {4}58b", re.MULTILINE | re.IGNORECASE)
 _PADDED_RULE = re.compile(rb"^ {4}-1[ \t]+(\r?)$", re.MULTILINE)
 _FORTRAN_EXPONENT = re.compile(rb"(\d)[Dd]([+-]\d\d)")
-_IN_TEXT = re.compile(r"(?:^|[\s_])[+-]?[xyz]\b", re.IGNORECASE)
+_GLOBAL = (np.eye(3), np.zeros(3))  # axes in rows and origin
 
 
 def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
@@ -57,101 +61,83 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     Raises
     ------
     StapeskitError
-        The file is cut short, a function holds fewer values than its header says, a measured direction is a
-        rotation, or there is no function of motion; as `recording_of`. All faults together, one a kind.
+        The file is cut short, a function holds fewer values than its header says, functions are of several
+        excitations, or there is none of motion; as `recording_of`. All faults together, one a kind.
     """
     path = Path(path)
-    sets, faults = _read_sets(path)
-    functions = [one for one in sets if one.get("type") == 58]
-    spectra = [(one, _unusable(one)) for one in functions if one["func_type"] != COHERENCE]
-    others = Counter(reason for _, reason in spectra if reason)
-    usable = [one for one, reason in spectra if not reason]
-    listed = ", ".join(f"{count} {name}" for name, count in others.most_common())
+    sets, faults = _datasets(path)
+    functions = [one for one in sets if one["type"] == 58 and one["func_type"] != COHERENCE]
+    reasons = [_unusable(one) for one in functions]
+    usable = [one for one, reason in zip(functions, reasons, strict=True) if not reason]
+    left_out = Counter(filter(None, reasons)).most_common()
+    listed = ", ".join(f"{count} {name}" for name, count in left_out)
     if not usable and not faults:
         want = "one with functions 58 of displacement, velocity or acceleration over frequency"
         step = "Export complex spectra or frequency responses of velocity or displacement as UFF 58"
         raise StapeskitError.of("a universal file", want, listed or "none", path.name, step)
-    factor = next((float(one["length"]) for one in sets if one["type"] == 164), None)
-    if factor is not None and not 0.0 < factor < np.inf:
-        faults.append(Fault("the length factor of dataset 164", "positive", f"{factor:g}", path.name))
-        factor = 1.0
-    notices = _notices(usable, listed, factor is not None, path.name)
+    stated = next((float(one["length"]) for one in sets if one["type"] == 164), None)
+    if stated is not None and not 0.0 < stated < np.inf:
+        faults.append(Fault("the length factor of dataset 164", "positive", f"{stated:g}", path.name))
+        raise_all(faults)
+    notices = _notices(usable, listed, stated is not None, path.name)
     nodes = _nodes(sets, {int(one["rsp_node"]) for one in usable}, path.name, faults, notices)
-    coherences = {
-        key: one
-        for one in functions
-        if one["func_type"] == COHERENCE
-        for key in (_response(one), _response(one)[:3])  # of the same reference, else of another
-    }
-    rows = []
-    for one in usable:
-        gamma = coherences.get(_response(one), coherences.get(_response(one)[:3]))
-        node = nodes.get(int(one["rsp_node"]), (unknown_vector(), np.eye(3)))
-        rows.append(_row(one, node, factor or 1.0, gamma, path.name))
-    raise_all([*faults, *_excitation_faults(usable, path.name), *_row_faults(usable, rows)])
-    lengths = "as metres" if factor is None else f"by dataset 164, {factor:g} per metre"
+    coherence = {_response(one): one for one in sets if one.get("func_type") == COHERENCE}
+    rows = [_row(one, nodes, stated or 1.0, coherence.get(_response(one)), path.name) for one in usable]
+    raise_all([*faults, *_excitation_faults(usable, path.name)])
+    lengths = "as metres" if stated is None else f"by dataset 164, {stated:g} per metre"
     return recording_of(
         path.name,
         rows,
-        twice=_step_for_directions(usable),
+        twice=_ONE_EXCITATION,
         notices=notices,
         statement=f"global axes of the file, lengths {lengths}",
-        amplitude_stated=False,
-        length_stated=factor is not None,
+        length_stated=stated is not None,
     )
 
 
-def _read_sets(path: Path) -> tuple[list[Dataset], list[Fault]]:
-    """Return the datasets of a file with their places from 1, and what is wrong with them.
+def _datasets(path: Path) -> tuple[list[Dataset], list[Fault]]:
+    """Return the datasets that pyuff reads, with their places from 1, and what is wrong with the others.
 
-    Where pyuff fails, rules padded with blanks to 80 columns and Fortran's exponents D are rewritten.
+    Of text, rules padded with blanks to 80 columns and Fortran's exponents D are rewritten for pyuff.
     """
-    content = path.read_bytes()
-    sets, faults = _datasets(path, content, path.name)
-    if (sets and not faults) or _BINARY.search(content) is not None:
-        return sets, faults
-    plain_text = _PADDED_RULE.sub(rb"    -1\1", _FORTRAN_EXPONENT.sub(rb"\1E\2", content))
-    with TemporaryDirectory() as folder:
-        copy = Path(folder) / "plain.uff"
-        copy.write_bytes(plain_text)
-        return _datasets(copy, plain_text, path.name)
-
-
-def _datasets(path: Path, content: bytes, name: str) -> tuple[list[Dataset], list[Fault]]:
-    """Return the datasets that pyuff reads, and what is wrong with the others."""
     import pyuff
 
-    faults: list[Fault] = []
+    sets, faults, content = list[Dataset](), list[Fault](), path.read_bytes()
+    if _BINARY.search(content) is None:
+        content = _PADDED_RULE.sub(rb"    -1\1", _FORTRAN_EXPONENT.sub(rb"\1E\2", content))
     end = content.rstrip(b" \t\r\n\0\x1a")
     if not end.endswith(b" -1"):
         got = shown(end.rsplit(b"\n", 1)[-1][-40:].decode("latin-1")) or "nothing"
-        faults.append(Fault("the last line of a universal file", "-1", got, name, CUT))
-    file = pyuff.UFF(str(path))
-    sets: list[Dataset] = []
-    for place in range(1, file.get_n_sets() + 1):
-        want, got, where = "whole, as its header says", "another layout", Place(name, "dataset", (place,))
-        try:
-            one = {**file.read_sets(place - 1), "place": place}
-            x, y = (np.atleast_1d(one.get(axis, [])) for axis in ("x", "data"))
-            got = f"{len(y)} of {one.get('num_pts')} values"
-            whole = one["type"] != 58 or (len(y) > 0 and len(x) == len(y) == one["num_pts"])
-        except Exception:  # pyuff raises plain exceptions of many kinds
-            whole = False
-        if whole:
-            sets.append(one)
-        else:
-            faults.append(Fault("a dataset", want, got, where, CUT))
+        faults.append(Fault("the last line of a universal file", "-1", got, path.name, CUT))
+    with TemporaryDirectory() as folder:
+        copy = Path(folder) / "plain.uff"
+        copy.write_bytes(content)
+        file = pyuff.UFF(str(copy))
+        for place in range(1, file.get_n_sets() + 1):
+            got, whole = "another layout", False
+            with suppress(Exception):  # pyuff raises plain exceptions of many kinds
+                one = {**file.read_sets(place - 1), "place": place}
+                x, y = (np.atleast_1d(one.get(axis, [])) for axis in ("x", "data"))
+                got = f"{len(y)} of {one.get('num_pts')} values"
+                whole = one["type"] != 58 or (len(y) > 0 and len(x) == len(y) == one["num_pts"])
+            if whole:
+                sets.append(one)
+            else:
+                where = Place(path.name, "dataset", (place,))
+                faults.append(Fault("a dataset", "whole, as its header says", got, where, CUT))
     return sets, faults
 
 
 def _unusable(one: Dataset) -> str:
-    """Return the kind of a function that is no motion over frequency; else empty."""
+    """Return the kind of a function that is no motion over frequency along a beam; else empty."""
     kind = KINDS.get(one["func_type"], f"function of type {one['func_type']}")
-    named = motion_unit(_label(one, "ordinate")) is not None
-    ordinate = one["ordinate_spec_data_type"]
+    unit, order = motion_unit(_label(one, "ordinate")), ORDERS.get(one["ordinate_spec_data_type"])
+    unnamed = one["ordinate_spec_data_type"] in (0, 1) and unit is not None
     reasons = {
         "": one["func_type"] not in (FRF, TRANSMISSIBILITY, SPECTRUM),
-        " of another quantity": ordinate not in ORDERS and (ordinate not in (0, 1) or not named),
+        " of another quantity": order is None and not unnamed,
+        " whose unit is that of another quantity": unit is not None and order not in (None, unit.order),
+        " of a rotation": abs(one["rsp_dir"]) > 3,
         " over something else": one["abscissa_spec_data_type"] not in _FREQUENCY,
         " of real numbers, without phase": not np.iscomplexobj(one["data"]),
     }
@@ -166,7 +152,7 @@ def _label(one: Dataset, axis: str) -> str:
 
 def _response(one: Dataset) -> tuple[int, ...]:
     """Return the key that a coherence shares with its response."""
-    return one["rsp_node"], abs(one["rsp_dir"]), one["load_case_id"], one["ref_node"], one["ref_dir"]
+    return one["rsp_node"], abs(one["rsp_dir"]), one["load_case_id"]
 
 
 def _nodes(
@@ -177,11 +163,10 @@ def _nodes(
     Dataset 15 gives coordinates in the node's definition system, dataset 2411 in the global one. Where a file
     describes no system, those of its nodes are taken for the global one, with a notice.
     """
-    systems: dict[int, tuple[Array, Array] | None] = {0: (np.eye(3), np.zeros(3))}
+    systems: dict[int, tuple[Array, Array] | None] = {0: _GLOBAL}
     for one in sets:
         systems |= _systems(one) if one["type"] in (18, 2420) else {}
-    nodes: dict[int, tuple[Array, Array]] = {}
-    unknown: set[int] = set()
+    nodes, unknown = dict[int, tuple[Array, Array]](), set[int]()
     for one in sets:
         if one["type"] not in (15, 2411):
             continue
@@ -191,7 +176,7 @@ def _nodes(
                 continue
             pair = [int(defined) if one["type"] == 15 else 0, int(measured)]
             unknown |= {label for label in pair if systems.get(label) is None}
-            (turn, origin), (axes, _) = (systems.get(label) or (np.eye(3), np.zeros(3)) for label in pair)
+            (turn, origin), (axes, _) = (systems.get(label) or _GLOBAL for label in pair)
             place = np.array(xyz) @ turn + origin
             known, _ = nodes.setdefault(int(node), (place, axes))
             if not np.allclose(known, place, rtol=1e-5, atol=1e-12):
@@ -235,8 +220,14 @@ def _systems(one: Dataset) -> dict[int, tuple[Array, Array] | None]:
     return found
 
 
-def _row(one: Dataset, at: tuple[Array, Array], factor: float, coherence: Dataset | None, file: str) -> Row:
-    """Return a function at a node as a row, with its coherence; SI is the number over the factor."""
+def _row(
+    one: Dataset,
+    nodes: Mapping[int, tuple[Array, Array]],
+    factor: float,
+    coherence: Dataset | None,
+    file: str,
+) -> Row:
+    """Return a function as a row, with its coherence; SI is the number over the factor."""
     label, per, response = _label(one, "ordinate"), _label(one, "orddenom"), one["func_type"] != SPECTRUM
     unit = motion_unit(label)
     if not label:
@@ -245,17 +236,22 @@ def _row(one: Dataset, at: tuple[Array, Array], factor: float, coherence: Datase
         known = REFERENCES.get(one["orddenom_spec_data_type"], "unit of the reference")
         unit = replace(unit, per=plain(per) if per else known)
     node, code, name = int(one["rsp_node"]), int(one["rsp_dir"]), str(one.get("rsp_ent_name", "")).strip()
-    channel = Channel(
-        name if node == 0 and not is_none(name) else str(node),
-        position_m=at[0] / factor,
-        direction=at[1][abs(code) - 1] * np.sign(code) if 1 <= abs(code) <= 3 else unknown_vector(),
-        where=Place(file, "dataset", (one["place"],)),
-    )
+    position, axes = nodes.get(node, (unknown_vector(), np.eye(3)))
+    where = Place(file, "dataset", (one["place"],))
     gamma = np.real(coherence["data"]).astype(float) if coherence is not None and response else None
     if gamma is not None and len(gamma) != len(one["data"]):
         want = "of as many lines as its response"
-        raise StapeskitError.of("the coherence", want, len(gamma), channel.where, "Export both again")
-    return Row(channel, one["x"].astype(float), one["data"], coherence=gamma, unit=unit or label)
+        raise StapeskitError.of("the coherence", want, len(gamma), where, "Export both again")
+    return Row(
+        name if node == 0 and not is_none(name) else str(node),
+        one["x"].astype(float),
+        one["data"],
+        unit or label,
+        position_m=position / factor,
+        direction=axes[abs(code) - 1] * np.sign(code) if code else unknown_vector(),
+        coherence=gamma,
+        where=where,
+    )
 
 
 def _excitation_faults(functions: Sequence[Dataset], file: str) -> list[Fault]:
@@ -263,53 +259,15 @@ def _excitation_faults(functions: Sequence[Dataset], file: str) -> list[Fault]:
 
     Some exports repeat the node of the response as the reference; that says nothing about the excitation.
     """
-    responses = [one for one in functions if one["func_type"] != SPECTRUM] or functions
-    excitations = []
-    for one in responses:
-        case = int(one["load_case_id"])
-        spectrum = case or one["func_type"] == SPECTRUM
-        excitations.append((case, 0, 0) if spectrum else (0, int(one["ref_node"]), int(one["ref_dir"])))
-    nodes = [int(one["rsp_node"]) for one in responses]
-    roving = len(set(nodes)) > 1 and nodes == [node for _, node, _ in excitations]
-    if len(set(excitations)) < 2 or roving:
-        return []
-    listed = (
-        f"load case {case}" if case else f"node {node}, direction {direction}"
-        for case, node, direction in excitations
-    )
-    return [Fault("the functions", "of one excitation", list_some(listed, 6), file, _ONE_EXCITATION)]
-
-
-def _row_faults(functions: Sequence[Dataset], rows: Sequence[Row]) -> list[Fault]:
-    """Refuse rotations, and units that contradict the quantity; one sentence a kind."""
-    turned, wrong = list[Channel](), list[Channel]()
-    for one, row in zip(functions, rows, strict=True):
-        if abs(one["rsp_dir"]) > 3:
-            turned.append(row.channel)
-        order = ORDERS.get(one["ordinate_spec_data_type"])
-        if isinstance(row.unit, MotionUnit) and order not in (None, row.unit.order):
-            wrong.append(row.channel)
-    faults = []
-    if turned:
-        want, got = "0 (scalar) or +-1, +-2, +-3", "a rotation or another number"
-        step = "Vibrometers measure translations: leave rotations out of the export"
-        faults.append(fault_of(turned, "the direction of a function", want, got, step))
-    if wrong:
-        want, step = "those of one motion", "Correct the unit in the measuring program"
-        faults.append(fault_of(wrong, "quantity and unit", want, "different ones", step))
-    return faults
-
-
-def _step_for_directions(functions: Sequence[Dataset]) -> str:
-    """Return the next step for a node and direction that occurs twice."""
-    labels = (str(one.get(key, "")).strip() for one in functions for key in ("id1", "id2"))
-    in_text = sorted({label for label in labels if _IN_TEXT.search(label)})
-    if len(in_text) < 2:
-        return _ONE_EXCITATION
-    return (
-        f"Their directions are in the text alone ({list_some(in_text)}): export them with directions of the "
-        "degrees of freedom (record 6), or as a wide table"
-    )
+    responses = [one for one in functions if one["func_type"] != SPECTRUM]
+    nodes = {(int(one["rsp_node"]), int(one["ref_node"])) for one in responses}
+    roving = len(nodes) > 1 and all(node == reference for node, reference in nodes)
+    excitations = {f"load case {one['load_case_id']:.0f}" for one in responses or functions}
+    if responses and not roving and excitations == {"load case 0"}:
+        excitations = {f"node {one['ref_node']:.0f}, direction {one['ref_dir']:.0f}" for one in responses}
+    got = list_some(sorted(excitations), 6)
+    several = len(excitations) > 1
+    return [Fault("the functions", "of one excitation", got, file, _ONE_EXCITATION)] if several else []
 
 
 def _notices(functions: Sequence[Dataset], left_out: str, stated: bool, file: str) -> list[Notice]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12, "in": 0.0254, "ft": 0.3048}
 STANDARD_GRAVITY = 9.80665
@@ -15,12 +15,14 @@ PHASES = {
     **dict.fromkeys(("deg", "degree", "degrees", "grad", "°", "\ufffd"), math.pi / 180.0),  # grad: German
     **dict.fromkeys(("rad", "radian", "radians"), 1.0),
 }
+SI_UNITS = ("m", "m/s", "m/s2")
 MOTIONS = "m, mm, um, nm; m/s, mm/s, um/s; m/s2, mm/s2, g [per unit of a reference]"
 
 _RATES = {"s": 1, "sec": 1, "s2": 2, "sec2": 2}
 _MARKS = (("µ", "u"), ("μ", "u"), ("²", "2"), ("¹", "1"), ("⁻", "-"), ("^", ""), ("**", ""), ("·", "*"))
 _DENSITY = re.compile(r"/[(]?(?:√|sqrt|rt)?[(]?Hz[)]?(?:0?\.5|[(]?1/2[)]?)?[)]?$", re.IGNORECASE)
 _PER_SECOND = re.compile(r"[*.]?s-([12])(?!\d)")  # as in m s-1
+_AMPLITUDES = {"pk": "peak", "peak": "peak", "rms": "rms"}
 
 
 @dataclass(frozen=True)
@@ -35,11 +37,19 @@ class MotionUnit:
         Factor to m, m/s, m/s2.
     per : str
         Unit of the reference as written; empty when there is none.
+    amplitude : str
+        ``peak`` or ``rms``; empty when the label does not say which.
     """
 
-    order: int
-    scale: float
+    order: int = 1
+    scale: float = 1.0
     per: str = ""
+    amplitude: str = ""
+
+    @property
+    def to_peak(self) -> float:
+        """Factor to peak amplitudes; a response is a ratio, for which rms and peak are one."""
+        return 2.0**0.5 if self.amplitude == "rms" and not self.per else 1.0
 
 
 def is_none(label: str) -> bool:
@@ -59,28 +69,23 @@ def motion_unit(label: str) -> MotionUnit | None:
     """Read a unit of motion; None when the label is no known one, or that of a density over frequency.
 
     What follows the unit of motion after a slash is the reference: ``m/s/V`` and ``(m/s)/V`` are responses
-    in m/s per volt.
+    in m/s per volt. The words peak and rms may stand beside it.
     """
-    text = plain(label)
+    words = label.replace("_", " ").split()
+    amplitude = next((_AMPLITUDES[word.lower()] for word in words if word.lower() in _AMPLITUDES), "")
+    text = plain(" ".join(word for word in words if word.lower() not in _AMPLITUDES))
     if _DENSITY.search(text):
         return None
     if bracketed := re.fullmatch(r"\(([^()]+)\)(?:/(.+))?", text):
         inner = motion_unit(bracketed[1])
         if inner is None or inner.per:
             return None
-        return MotionUnit(inner.order, inner.scale, (bracketed[2] or "").strip("()"))
+        return replace(inner, per=(bracketed[2] or "").strip("()"), amplitude=amplitude)
     first, *rest = text.split("/")
     if first.lower() in ("g", "gn", "g_n"):
-        return MotionUnit(2, STANDARD_GRAVITY, "/".join(rest))
+        return MotionUnit(2, STANDARD_GRAVITY, "/".join(rest), amplitude)
     order = 0
     while rest and rest[0].lower() in _RATES and order + _RATES[rest[0].lower()] <= 2:
         order += _RATES[rest.pop(0).lower()]
-    return MotionUnit(order, LENGTHS[first], "/".join(rest).strip("()")) if first in LENGTHS else None
-
-
-def split_amplitude(label: str) -> tuple[str, str]:
-    """Return a label without the words peak and rms, and which of the two it says."""
-    kinds = {"pk": "peak", "peak": "peak", "rms": "rms"}
-    words = label.replace("_", " ").split()
-    stated = [kinds[word.lower()] for word in words if word.lower() in kinds]
-    return " ".join(word for word in words if word.lower() not in kinds), stated[0] if stated else ""
+    per = "/".join(rest).strip("()")
+    return MotionUnit(order, LENGTHS[first], per, amplitude) if first in LENGTHS else None

@@ -8,11 +8,11 @@ import pytest
 
 from kinematics.readers.assemble import assemble, read_measurement
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.gather import Row, recording_of
+from kinematics.readers.gather import recording_of
 from kinematics.readers.lines import common_grid
 from kinematics.readers.points import read_points
-from kinematics.readers.recording import Channel
-from kinematics.readers.units import motion_unit
+from kinematics.readers.recording import Row
+from kinematics.readers.units import MotionUnit, motion_unit
 from stapeskit.faults import StapeskitError
 from tests.motion_files.written_files import FREQ_HZ, PLACES_M, VELOCITY, tidy_table, universal_file
 
@@ -20,9 +20,9 @@ EXPORTS = Path(__file__).parents[2] / "sample_volumes" / "exports"
 Z = np.array([0.0, 0.0, 1.0])
 
 
-def row(point="1", freq=FREQ_HZ, value=1.0, **channel):
-    known = {"body": "stapes", "direction": Z, "position_m": np.zeros(3)} | channel
-    return Row(Channel(point, **known), np.asarray(freq), np.full(len(freq), value, dtype=complex))
+def row(point="1", freq=FREQ_HZ, value=1.0, **further):
+    known = {"body": "stapes", "direction": Z, "position_m": np.zeros(3)} | further
+    return Row(point, np.asarray(freq), np.full(len(freq), value, dtype=complex), **known)
 
 
 def one(*rows, name="a.uff", **facts):
@@ -113,7 +113,7 @@ def test_bodies_by_rules_files_and_points(tmp_path):
 
 def test_quantities_are_converted_to_the_most_common_one():
     """v = i w q."""
-    measured = assemble([one(row("1"), row("2"), row("3", value=0.5, order=0))])
+    measured = assemble([one(row("1"), row("2"), row("3", value=0.5, unit=MotionUnit(0)))])
     assert measured.quantity == "velocity"
     assert np.allclose(measured.bodies[0].value[0, 2], 0.5 * 2j * np.pi * FREQ_HZ)
 
@@ -140,7 +140,9 @@ def test_positions_of_two_sources_must_agree(tmp_path):
 UNFIT = {
     "one channel twice": ([row("1"), row("1")], FileFacts(), "the channel stapes 1 (z)"),
     "no direction": ([row(direction=np.full(3, np.nan))], FileFacts(), "points 1 of body stapes"),
-    "two references": ([row("1", per="N"), row("2", per="V")], FileFacts(), "the values of one run"),
+    "two references": (
+        [row("1", unit="m/s/N"), row("2", unit="m/s/V")], FileFacts(), "the values of one run"
+    ),
     "an option for nothing": ([row()], FileFacts(beam="z"), "--beam"),
     "an unknown file": ([row()], FileFacts(run=("push=c.uff",)), "the file of --run push=c.uff"),
     **{
@@ -175,8 +177,8 @@ IMPOSSIBLE = {
     "the coherence": {"coherence": 1.5},
     "the number of averages": {"n_avg": 0.0},
     "the standard deviations": {"sd": -1.0},
-    "the length of a direction": {"channel": Channel("1", direction=2.0 * Z)},
-    "the coordinates of the points, in mm": {"channel": Channel("1", position_m=np.full(3, 1e10))},
+    "the length of a direction": {"direction": 2.0 * Z},
+    "the coordinates of the points, in mm": {"position_m": np.full(3, 1e10)},
 }
 
 
@@ -184,7 +186,6 @@ IMPOSSIBLE = {
 def test_what_no_motion_can_have_is_refused_whatever_the_format(thing):
     """Two rows of one kind are one sentence."""
     rows = [replace(row(point), **IMPOSSIBLE[thing]) for point in "12"]
-    rows = rows[:1] if "channel" in IMPOSSIBLE[thing] else rows
     with pytest.raises(StapeskitError) as caught:
         one(*rows)
     assert things(caught) == [thing]
@@ -223,18 +224,3 @@ def test_tidy_tables_and_other_files_are_one_measurement(tmp_path):
     assert np.allclose(measured.bodies[0].value[0], VELOCITY.reshape(9, -1), rtol=1e-14)
     assert np.allclose(measured.bodies[1].positions_m[::3], PLACES_M)
     assert set(measured.inputs) == {"ldv", "ldv 2"}
-
-
-def test_common_noise_is_kept_apart_only_where_a_run_shares_it():
-    def noisy(point, share, name):
-        made = row(point)
-        return one(Row(made.channel, made.freq_hz, made.value, sd=0.1, common_sd=share), name=name)
-
-    together = assemble(
-        [one(*[Row(r.channel, r.freq_hz, r.value, 0.1, common_sd=0.2) for r in (row("1"), row("2"))])]
-    )
-    assert np.allclose(together.common_sd, 0.2)
-    assert np.allclose(together.bodies[0].sd, 0.1)
-    apart = assemble([noisy("1", 0.2, "a.npz"), noisy("2", 0.3, "b.npz")])
-    assert apart.common_sd is None
-    assert np.allclose(apart.bodies[0].sd[0, :, 0], np.hypot(0.1, [0.2, 0.3]))

@@ -23,16 +23,13 @@ TOLERANCE = {"series": 1e-9, "psv": 1e-11, "points": 1e-11, "uff": 1e-11}
 
 def by_channel(recording):
     """Values by point and beam."""
-    return {
-        (channel.point, channel.beam_key): value
-        for channel, value in zip(recording.channels, recording.value, strict=True)
-    }
+    return {row.beam: row.value for row in recording.rows}
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_what_is_written_is_recognised_and_read(name, tmp_path):
     path, facts = WAYS[name](tmp_path)
-    assert format_of(path, facts.mapping is not None).name == FORMAT_OF.get(name, name)
+    assert format_of(path).name == FORMAT_OF.get(name, name)
     recording = read_file(path, facts)
     if name == "svd":  # a genuine scan: see test_polytec_scans.py
         return
@@ -45,7 +42,7 @@ def test_what_is_written_is_recognised_and_read(name, tmp_path):
             size = np.max(np.abs(VELOCITY))
             assert np.allclose(value, VELOCITY[point, axis], rtol=0.0, atol=TOLERANCE.get(name, 1e-14) * size)
     if name != "wide":
-        places = {channel.point: channel.position_m for channel in recording.channels}
+        places = {row.point: row.position_m for row in recording.rows}
         for point in range(3):
             assert np.allclose(places[str(point + 1)], PLACES_M[point], atol=1e-12)
 
@@ -81,7 +78,7 @@ def test_damaged_files_end_in_values_or_in_a_refusal(name, tmp_path):
         path.write_bytes(content.tobytes())
         with suppress(StapeskitError):
             recording = read_file(path, facts)
-            assert recording.value.shape == (len(recording.channels), len(recording.freq_hz))
+            assert recording.value.shape == (len(recording.rows), len(recording.freq_hz))
             assert np.all(np.diff(recording.freq_hz) > 0.0)
 
 
@@ -104,7 +101,7 @@ def test_texts_with_words_in_wrong_places_end_in_values_or_in_a_refusal(name, tm
         path.write_bytes(b"\n".join(lines))
         with suppress(StapeskitError):
             recording = read_file(path, facts)
-            assert recording.value.shape == (len(recording.channels), len(recording.freq_hz))
+            assert recording.value.shape == (len(recording.rows), len(recording.freq_hz))
 
 
 def test_files_of_no_known_format_are_refused_with_what_to_do(tmp_path):
@@ -129,5 +126,5 @@ def test_every_warning_of_the_readers_has_its_entry():
         path.read_text("utf-8") for name in ("readers", "signals") for path in (folder / name).glob("*.py")
     ]
     codes = {code for source in sources for code in re.findall(r'Notice\(\s*"([a-z_]+)"', source)}
-    assert len(codes) > 10  # the pattern finds them
+    assert len(codes) > 5  # the pattern finds them
     assert codes <= set(warnings.table())

@@ -146,7 +146,7 @@ MISTAKES = {
     "no body": (",1,0,0,0,y,300,1,2", "body", 5),
     "no point": ("stapes,,0,0,0,y,300,1,2", "point", 5),
     "again": ("stapes,1,0,0,0,y,200,3,4", "a row", 5),
-    "moved": ("stapes,1,0,0.5,0,y,300,1,2", "the position of a point", 5),
+    "moved": ("stapes,1,0,0.5,0,y,300,1,2", "the position of point 1 of body stapes", 5),
     "empty place": ("stapes,1,0,,0,y,300,1,2", "y_mm", 5),
     "short": ("stapes,1,0,0,0,y,300,1", "a row", 5),
 }
@@ -156,9 +156,15 @@ MISTAKES = {
 def test_a_mistake_is_one_fault_with_its_line(name, tmp_path):
     row, thing, line = MISTAKES[name]
     found = faults(table(tmp_path, [*ROWS, row]))
-    assert [fault.where.numbers for fault in found] == [(line,)]
+    assert [str(fault.where).split(",")[1] for fault in found] == [f" line {line}"]
     if name != "short":
         assert found[0].thing == thing
+
+
+def test_a_name_of_another_language_is_one_fault(tmp_path):
+    """It is missing, and has no unit of its own that could be wrong."""
+    (found,) = faults(table(tmp_path, ROWS, HEAD.replace("freq_hz", "frequenz")))
+    assert (found.thing, found.got) == ("the table", "no column freq_hz")
 
 
 HEADERS = {

@@ -167,10 +167,17 @@ def test_velocity_is_taken_before_displacement_and_responses_before_spectra(tmp_
     assert np.allclose(recording.value, VALUE)
 
 
+def test_rotations_are_left_out_of_what_lasers_measured(tmp_path):
+    parts = [function(FREQ_HZ, VALUE, 1, code) for code in (3, 6)]
+    recording = read(tmp_path, units(), nodes_2411(PLACE), *parts)
+    assert np.array_equal(recording.directions, [[0, 0, 1]])
+    assert "of a rotation" in recording.notices[0].text
+
+
 REFUSED = {
-    "a rotation": (function(FREQ_HZ, VALUE, 1, 5), "the direction of a function"),
+    "a rotation": (function(FREQ_HZ, VALUE, 1, 5), "a universal file"),
     "fewer values": (function(FREQ_HZ, VALUE, count=9), "a dataset"),
-    "quantity and unit": (function(FREQ_HZ, VALUE, quantity=DISPLACEMENT), "quantity and unit"),
+    "quantity and unit": (function(FREQ_HZ, VALUE, quantity=DISPLACEMENT), "a universal file"),
     "one frequency twice": (
         function([1.0, 1.0, 2.0, 3.0], VALUE, even=False),
         "the frequencies",
@@ -195,13 +202,13 @@ def test_a_kind_of_fault_is_one_message(tmp_path):
     assert len(found[0].where.numbers) == 30
 
 
-def test_directions_that_stand_in_the_text_alone_are_named(tmp_path):
+def test_directions_that_stand_in_the_text_alone_are_refused(tmp_path):
     parts = [
         function(FREQ_HZ, VALUE, node, 3, names=(f"Vib {axis}", "V")) for node in (1, 2) for axis in "XYZ"
     ]
     found = faults(tmp_path, units(), nodes_2411(PLACE), *parts)
     assert len(found) == 1
-    assert "Vib X, Vib Y, Vib Z" in found[0].next_step
+    assert "record 6" in found[0].next_step
 
 
 def test_a_genuine_export_is_fitted_as_by_plain_least_squares(tmp_path):

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from kinematics.readers.assemble import read_measurement
 from kinematics.readers.facts import FileFacts
 from kinematics.readers.formats import read_file
 from kinematics.readers.wide import meaning
@@ -118,46 +117,12 @@ def test_peak_beside_rms_is_refused(tmp_path):
     assert [fault.thing for fault in faults(written(tmp_path, text))] == ["the units of the amplitudes"]
 
 
-def test_a_mapping_for_nothing_is_refused(tmp_path):
-    path = written(tmp_path, fastscan(400, PLACES_M, VELOCITY[:, :, 0]), "a.txt")
-    with pytest.raises(StapeskitError) as caught:
-        read_measurement([path], facts=FileFacts(mapping=written(tmp_path, "", "names.toml")))
-    assert [fault.thing for fault in caught.value.faults] == ["--mapping"]
-
-
-MAPPING = {
-    "f": "Frequency [kHz]",
-    "A": "P7 z Mag [mm/s rms]",
-    "B": "P7 z Phase [rad]",
-    "C": "P7 z Coherence",
-}
-
-
-def test_a_mapping_names_the_columns(tmp_path):
-    path = written(tmp_path, "f,A,B,C\n0.4,1,0.5,0.9\n0.5,2,0.25,0.8\n")
-    text = "".join(f'"{old}" = "{new}"\n' for old, new in MAPPING.items())
-    facts = FileFacts(mapping=written(tmp_path, text, "names.toml"), n_avg=10.0)
-    recording = read_file(path, facts)
-    expected = 1e-3 * np.sqrt(2) * np.array([1, 2]) * np.exp(1j * np.array([0.5, 0.25]))
-    assert np.allclose(recording.value[0], expected)
-    assert np.allclose(recording.freq_hz, [400.0, 500.0])
-    assert (recording.points, recording.coherence[0, 1]) == (("7",), 0.8)
-
-
 def test_a_description_beside_the_file_is_not_passed_over(tmp_path):
     """It may say rms or e^{-iwt}: without it the numbers are others."""
     path = written(tmp_path, "Frequency [Hz],P1 z Mag [m/s],P1 z Phase [deg]\n100,1,10\n200,2,20\n")
     (tmp_path / "ldv.csv.toml").write_text('convention = "-"\n', encoding="utf-8")
     (fault,) = faults(path)
     assert "ldv.csv.toml" in fault.thing
-    assert "--mapping" in fault.expected
-
-
-def test_mistakes_of_a_mapping_come_together(tmp_path):
-    path = written(tmp_path, "f,A,B\n1,2,3\n4,5,6\n")
-    mapping = written(tmp_path, '"g" = "Frequency [Hz]"\n"A" = 3\n', "names.toml")
-    found = faults(path, FileFacts(mapping=mapping))
-    assert [fault.thing for fault in found] == ["g of the mapping", "A of the mapping"]
 
 
 def test_fastscan_of_a_folder_and_of_one_file(tmp_path):
@@ -173,7 +138,7 @@ def test_fastscan_of_a_folder_and_of_one_file(tmp_path):
 
 
 SCANS = {
-    "one frequency twice": ([fastscan(400, PLACES_M, VELOCITY[:, :, 0])] * 2, "the tables"),
+    "one frequency twice": ([fastscan(400, PLACES_M, VELOCITY[:, :, 0])] * 2, "the frequencies"),
     "two scans": (
         [
             fastscan(400, PLACES_M, VELOCITY[:, :, 0]),
