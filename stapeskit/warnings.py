@@ -95,10 +95,9 @@ def page() -> str:
     lines = [
         "# Warnings",
         "",
-        "Every warning has a stable code and a text with the numbers of the case, on the terminal, on the",
-        'page and in the JSON results (`"warnings": [{"code", "text"}]`), and travels with the results of',
-        "its step. The last column is its verdict: `information` (the numbers can be used), `check` (look",
-        "before you use them), `do not use`.",
+        "Each has a stable code and a text with the numbers of the case, on the terminal, the page and in",
+        'the JSON results (`"warnings": [{"code", "text"}]`), and travels with the results of its step.',
+        "Verdicts: `information` (use the numbers), `check` (look first), `do not use`.",
     ]
     for room, command in ROOMS.items():
         entries = sorted((code, entry) for code, entry in table().items() if entry.room == room)
