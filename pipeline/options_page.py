@@ -19,6 +19,9 @@ COMMANDS: dict[str, list[type[Options]]] = {
     "study files only": [About],
 }
 
+COMMON = ("force", "json", "quiet")
+"""Options of all commands, described once."""
+
 
 def options_page() -> str:
     """Return the page as Markdown."""
@@ -26,14 +29,16 @@ def options_page() -> str:
         "# Options",
         "",
         "An option has one name: `--box` on the command line, `box=` in Python, and in a study file "
-        "the same with its unit, `box_mm`, and underscores. Every command also takes `--config FILE.toml`, "
-        "with options by name, and `--version`.",
+        "the same with its unit, `box_mm`, and underscores. Every command also takes `--config FILE.toml` "
+        "(options by name), `--version`, `--json` (print the result as JSON), `--quiet` (print nothing but "
+        "errors) and `--force`: replace files that it did not write; `dof2kd` also uses another mass.json, "
+        "and `scan2kd` repeats every stage. Defaults are in brackets.",
     ]
     for command, tables in COMMANDS.items():
         lines += ["", f"## {command}"]
         for table in tables:
             where = f"Keys of `[{table.table}]` in a study file:" if table.table else "Not in a study file:"
-            lines += ["", where, "", markdown_table([table], flags=table is not About).rstrip()]
+            lines += ["", where, "", markdown_table([table], table is not About, COMMON).rstrip()]
     return "\n".join(lines) + "\n"
 
 

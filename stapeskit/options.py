@@ -344,22 +344,21 @@ def template(title: str, tables: Sequence[type[Options]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def markdown_table(tables: Sequence[type[Options]], flags: bool = True) -> str:
-    """Return options as a Markdown table: name, meaning, default.
+def markdown_table(tables: Sequence[type[Options]], flags: bool = True, without: Sequence[str] = ()) -> str:
+    """Return options as a Markdown table: name, and meaning with the default.
 
     With ``flags`` the name is that of the command line, with the key of a study file where that differs;
-    without, it is the key.
+    without, it is the key. Those named in ``without`` are left out.
     """
-    lines = ["| option | what it does | default |", "|-|-|-|"]
+    lines = ["| option | what it does |", "|-|-|"]
     for table in tables:
-        for entry in table.entries():
+        for entry in (entry for entry in table.entries() if entry.name not in without):
             metavar = "" if entry.is_flag or entry.opt.positional else f" {entry.kind.metavar}"
             name = f"`{entry.flag if flags else entry.key}{metavar}`"
             if flags and table.table and entry.key != entry.name:
                 name += f", `{entry.key}`"
             unset = entry.default in (None, False, (), "")
-            default = "" if unset else f"`{on_command_line(plain(entry.default))}`"
-            lines.append(
-                "| " + " | ".join(cell.replace("|", "\\|") for cell in (name, entry.opt.help, default)) + " |"
-            )
+            default = "" if unset else f" (`{on_command_line(plain(entry.default))}`)"
+            cells = (name, entry.opt.help + default)
+            lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(lines) + "\n"
