@@ -24,6 +24,7 @@ from stapeskit.spatial import DOF_NAMES
 PISTON_DOF = ("y", "alpha", "gamma")
 INPLANE_DOF = ("x", "z", "beta")
 _MM = 1e-3
+_INFORMED = 0.9  # sd over that before, from which on a stiffness counts as told
 
 
 def applies(data: Data) -> bool:
@@ -120,22 +121,59 @@ def in_plane(found: Fit) -> InPlane:
 
 
 def _told(found: Fit, likelihood: Likelihood, theta: Array, covariance: Array, scale: Array) -> InPlane:
-    """Return K_cc and D_cc, SI, as a fit determines them; entries that it does not take the usual ratio.
+    """Return K_cc and D_cc, SI, as a fit tells them with the usual ratio for a prior.
 
     Where the deflection in the plane drowns in the noise, a stiffness that is much too small fits as well,
-    and its sd falls with it. Noise did not choose the usual stiffness: no sd is less than that there, and an
-    entry that the data determine less well there than the usual ratio does takes that ratio.
+    and its sd falls with its square. What noise leaves alike is the compliance: each stiffness is the mean of
+    its posterior, for a normal compliance as precise as at this stiffness. The sd of the other entries grows
+    with the square of the stiffness, at most to that of the usual ratio.
     """
     usual = _usual(found, calibrated("ligament.inplane_default"), calibrated("ligament.inplane_default_sd"))
-    count = len(usual.mean)
+    assert likelihood.model.entries is not None
+    count, stiffnesses = len(usual.mean), diagonal(3)
+    beforehand = np.diag(likelihood.model.entries.covariance)
     there, _ = likelihood.covariance(np.concatenate([usual.mean / scale, theta[count:]]))
-    there = there[:count, :count] * np.outer(scale, scale)
-    sd, own = np.sqrt(np.diag(there)), np.sqrt(np.diag(covariance)[:count]) * scale
-    told = sd < np.sqrt(np.diag(usual.covariance))
-    grown = np.where(told, np.maximum(own / sd, 1.0), 0.0)
-    joint = there * np.outer(grown, grown) + usual.covariance * ~told
-    mean = np.where(told, theta[:count] * scale, usual.mean)
-    return InPlane(mean, joint, bool(np.all(told[diagonal(3)[:2]])), None)
+    entries, sd = theta[:count] * scale, np.sqrt(np.maximum(np.diag(covariance)[:count], 1e-300)) * scale
+    precision = [
+        np.sqrt(np.maximum(1.0 / np.diag(spread)[:count] - 1.0 / beforehand, 0.0)) / scale * at**2
+        for spread, at in ((covariance, entries), (there, usual.mean))
+    ]
+    grown, own, told = np.ones(3), sd.copy(), np.ones(3, dtype=bool)
+    for number, place in enumerate(stiffnesses):
+        expected, spread = float(usual.mean[place]), float(np.sqrt(usual.covariance[place, place]))
+        seen = float(precision[0][place]), float(precision[1][place])
+        mean, after = _posterior_of_stiffness(float(entries[place]), seen, expected, spread)
+        _, unseen = _posterior_of_stiffness(expected, (0.0, 0.0), expected, spread)
+        told[number] = after < _INFORMED * unseen
+        grown[number] = max(np.hypot(mean, after) / max(entries[place], sd[place]), 1.0)
+        entries[place], own[place] = mean, after
+    most = np.maximum(np.sqrt(np.diag(usual.covariance)), sd)
+    others = np.minimum(sd * np.tile(vector(np.outer(grown, grown)), 2), most)
+    factor = np.where(np.isin(np.arange(count), stiffnesses), own, others) / sd
+    joint = covariance[:count, :count] * np.outer(scale * factor, scale * factor)
+    return InPlane(entries, joint, bool(np.all(told[:2])), None)
+
+
+def _posterior_of_stiffness(
+    fitted: float, precision: tuple[float, float], usual: float, usual_sd: float
+) -> tuple[float, float]:
+    """Return mean and sd of a stiffness whose compliance was observed.
+
+    Its precision (1 / sd) is known at the fitted and at the usual stiffness; between, by the logarithms.
+    """
+    most = usual + 4.0 * usual_sd
+    fitted = max(fitted, 0.01 * most)
+    near = 1.0 / fitted + np.linspace(-8.0, 8.0, 321) / max(precision[0], 1e-300)
+    near = near[(near > 1.0 / most) & (near < 100.0 / most)]
+    stiffness = np.unique(np.concatenate([np.linspace(0.01, 1.0, 400) * most, 1.0 / near]))
+    way = np.log(stiffness / fitted) / np.log(usual / fitted) if usual != fitted else np.zeros(len(stiffness))
+    way = np.clip(way, 0.0, 1.0)
+    between = max(precision[0], 1e-300) ** (1.0 - way) * max(precision[1], 1e-300) ** way
+    cost = 0.5 * ((between * (1.0 / stiffness - 1.0 / fitted)) ** 2 + ((stiffness - usual) / usual_sd) ** 2)
+    weight = np.exp(cost.min() - cost) * np.gradient(stiffness)
+    weight /= weight.sum()
+    mean = float(weight @ stiffness)
+    return mean, float(np.sqrt(weight @ (stiffness - mean) ** 2))
 
 
 def _usual(found: Fit, ratio: float, ratio_sd: float) -> Prior:

@@ -217,11 +217,10 @@ SCENES: dict[str, Scene] = {
         without=("plate_axis_sign",),
     ),
     # fits of K and D: estimators, laws, degrees of freedom, plane, closed forms
-    # Nothing moves in the plane of these footplates: its stiffness is the usual one, and that is said.
-    "piston": _fit(warnings=("inplane_assumed",)),
+    "piston": _fit(),
     "piston_pinv": _fit(words="--estimator pinv", warnings=("attenuation_bias", "misfit")),
     "piston_constrained": _fit(words="--estimator constrained", warnings=("attenuation_bias",)),
-    "piston_t4": _fit(words="--robust t4", warnings=("inplane_assumed",)),
+    "piston_t4": _fit(words="--robust t4"),
     "hysteretic": _fit(damped_alike(Ligament(), "hysteretic"), words="--damping hysteretic"),
     "fractional": _fit(damped_alike(Ligament(), "fractional"), words="--damping fractional"),
     "laws_compared": _fit(damped_alike(Ligament(), "hysteretic"), words="--damping compare"),
