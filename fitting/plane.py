@@ -99,7 +99,8 @@ def in_plane(found: Fit) -> InPlane:
     usual = _usual(
         found, calibrated("ligament.inplane_stiffness"), calibrated("ligament.inplane_stiffness_sd")
     )
-    model = replace(model, entries=Prior(usual.mean / scale, usual.covariance / np.outer(scale, scale)))
+    weak = Prior(usual.mean / scale, usual.covariance / np.outer(scale, scale))
+    model = replace(model, entries=weak)
     likelihood = Likelihood(lines, model, weights=found.weights)
     p_value = None
     for share in (None, 1.0, 0.3):
@@ -115,12 +116,14 @@ def in_plane(found: Fit) -> InPlane:
             continue
         p_value = float(chdtrc(6 * lines.count, chi2))
         if converged and p_value > calibrated("ligament.inplane_least_p"):
-            return replace(_told(found, likelihood, theta, covariance, scale), p_value=p_value)
+            return replace(_told(found, likelihood, weak, theta, covariance, scale), p_value=p_value)
     usual = _usual(found, calibrated("ligament.inplane_default"), calibrated("ligament.inplane_default_sd"))
     return InPlane(usual.mean, usual.covariance, False, p_value)
 
 
-def _told(found: Fit, likelihood: Likelihood, theta: Array, covariance: Array, scale: Array) -> InPlane:
+def _told(
+    found: Fit, likelihood: Likelihood, weak: Prior, theta: Array, covariance: Array, scale: Array
+) -> InPlane:
     """Return K_cc and D_cc, SI, as a fit tells them with the usual ratio for a prior.
 
     Where the deflection in the plane drowns in the noise, a stiffness that is much too small fits as well,
@@ -129,9 +132,8 @@ def _told(found: Fit, likelihood: Likelihood, theta: Array, covariance: Array, s
     with the square of the stiffness, at most to that of the usual ratio.
     """
     usual = _usual(found, calibrated("ligament.inplane_default"), calibrated("ligament.inplane_default_sd"))
-    assert likelihood.model.entries is not None
     count, stiffnesses = len(usual.mean), diagonal(3)
-    beforehand = np.diag(likelihood.model.entries.covariance)
+    beforehand = np.diag(weak.covariance)
     there, _ = likelihood.covariance(np.concatenate([usual.mean / scale, theta[count:]]))
     entries, sd = theta[:count] * scale, np.sqrt(np.maximum(np.diag(covariance)[:count], 1e-300)) * scale
     precision = [
