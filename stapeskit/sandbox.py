@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Generic, NoReturn, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from stapeskit.faults import Fault, StapeskitError
+from stapeskit.faults import StapeskitError
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -37,8 +37,6 @@ Answer = Callable[[Any], NDArray[Any]]
 
 CLOCK = 15.0
 """Seconds on the clock for a second of processor time: a busy machine gives a process little of it."""
-
-DAMAGED = "It is damaged: copy or export it again"
 
 _LONGEST_TEXT = 200  # letters of a library's own message
 _FORK = threading.Lock()  # no child may inherit the half-made pipe of another one
@@ -56,10 +54,8 @@ def memory_limit(path: Path) -> int:
 
 def size_on_disk(path: Path) -> int:
     """Return the size of a file, or of all files below a folder, bytes; 0 where there is nothing."""
-    path = Path(path)
-    if path.is_dir():
-        return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
-    return path.stat().st_size if path.is_file() else 0
+    files = path.rglob("*") if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files if file.is_file())
 
 
 def read_apart(
@@ -92,16 +88,17 @@ def read_apart(
     StapeskitError
         The library crashes, hangs, needs too much memory or raises; also every fault that ``read`` raises.
     """
-    with Session(lambda: (read(), _no_requests), path, what, limit_s, memory, modules) as session:
+    with Session(lambda: (read(), no_requests), path, what, limit_s, memory, modules) as session:
         return session.opened
 
 
-def _no_requests(_: Any) -> NDArray[Any]:
+def no_requests(_: Any) -> NDArray[Any]:
+    """Refuse requests: the answer of a source that was read whole."""
     raise ValueError("this source was read whole and answers no requests")
 
 
 class Session(Generic[Opened]):
-    """A source that is open in a child process and answers requests with arrays.
+    """A source that is open in a child process and answers requests with arrays, one after the other.
 
     Parameters
     ----------
@@ -120,10 +117,6 @@ class Session(Generic[Opened]):
     ------
     StapeskitError
         As in `read_apart`.
-
-    Notes
-    -----
-    Requests of several threads are answered one after the other.
     """
 
     opened: Opened
@@ -138,21 +131,28 @@ class Session(Generic[Opened]):
         modules: Sequence[str] = (),
     ) -> None:
         self._lock = threading.Lock()
-        self._name, self._what = Path(path).name, what
+        self._name, self._what = path.name, what
         self._limit_s = processor_limit_s(path) if limit_s is None else limit_s
         self._memory = memory_limit(path) if memory is None else memory
-        self._direct: Answer | None = None
         for module in modules:
             import_module(module)
-        if can_fork():
-            self._fork(open_source)
-            try:
-                self.opened = self._receive()
-            except BaseException:
-                self.close()
-                raise
-        else:
-            self.opened, self._direct = self._result(_outcome(open_source))
+        if not can_fork():
+            self.opened, self._answer = _result(self._outcome(open_source))
+            return
+        with _FORK, warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of a fork beside threads
+            self._pipe, theirs = Pipe()
+            self._child = os.fork()
+            if self._child == 0:
+                self._pipe.close()
+                self._serve(open_source, theirs)
+            theirs.close()
+        self._end = weakref.finalize(self, _end, self._child, self._pipe)
+        try:
+            self.opened = self._receive()
+        except BaseException:
+            self._end()
+            raise
 
     def ask(self, request: Any) -> NDArray[Any]:
         """Return the array that answers a request.
@@ -163,8 +163,8 @@ class Session(Generic[Opened]):
             The library crashes, hangs, needs too much memory or raises; the first two end the session.
         """
         with self._lock:
-            if self._direct is not None:
-                return np.require(self._result(_outcome(partial(self._direct, request))), requirements="W")
+            if not can_fork():
+                return _result(self._outcome(lambda: self._answer(request)))
             if not self._end.alive:
                 raise self._error("a source whose reading ended before")
             with suppress(OSError):  # of a child that has ended, which the answer tells
@@ -173,7 +173,6 @@ class Session(Generic[Opened]):
 
     def close(self) -> None:
         """End the child process."""
-        self._direct = None
         if can_fork():
             self._end()
 
@@ -183,18 +182,6 @@ class Session(Generic[Opened]):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _fork(self, open_source: Callable[[], tuple[Opened, Answer]]) -> None:
-        with _FORK, warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # of a fork beside threads
-            self._pipe, theirs = Pipe()
-            child = os.fork()
-            if child == 0:
-                self._pipe.close()
-                _serve(open_source, theirs, self._limit_s, self._memory)
-            theirs.close()
-        self._child = child
-        self._end = weakref.finalize(self, _end, child, self._pipe)
-
     def _receive(self) -> Any:
         """Return the next result of the child; one that crashed or hangs is ended."""
         try:
@@ -202,8 +189,7 @@ class Session(Generic[Opened]):
                 raise EOFError
             head, sizes = self._pipe.recv()
             buffers = [np.empty(size, dtype=np.uint8) for size in sizes]
-            for buffer in buffers:
-                rest = buffer.data
+            for rest in (buffer.data for buffer in buffers):
                 while rest:
                     count = os.readv(self._pipe.fileno(), [rest])
                     if not count:
@@ -217,24 +203,53 @@ class Session(Generic[Opened]):
         except BaseException:  # an interrupt: what the child sends later would answer another request
             self._end()
             raise
-        return self._result(pickle.loads(head, buffers=buffers))
+        return _result(pickle.loads(head, buffers=buffers))
 
-    def _result(self, outcome: tuple[bool, Any]) -> Any:
-        """Return the result of an outcome, or raise its failure."""
-        good, value = outcome
-        if good:
-            return value
-        faults, text, trace = value
-        if faults:
-            raise StapeskitError(*faults)
-        if text == "MemoryError":
-            text = f"one that needs more than {self._memory / 1e6:.0f} MB of memory"
-        error = self._error(text)
-        error.add_note(trace)
-        raise error
+    def _serve(self, open_source: Callable[[], tuple[Opened, Answer]], pipe: Connection) -> NoReturn:
+        """In the child process: open the source and answer requests until the parent ends."""
+        try:
+            _isolate(self._memory)
+            _limit_processor(self._limit_s)
+            found = self._outcome(open_source)
+            opened, answer = (found, no_requests) if isinstance(found, StapeskitError) else found
+            _send(pipe, opened)
+            while True:
+                request = pipe.recv()
+                _limit_processor(self._limit_s)
+                _send(pipe, self._outcome(partial(answer, request)))
+        except EOFError:  # the parent has ended or closed the session
+            pass
+        finally:
+            os._exit(0)
+
+    def _outcome(self, work: Callable[[], Any]) -> Any:
+        """Return the result, or the error that the user reads; of another exception with its traceback."""
+        try:
+            return work()
+        except StapeskitError as error:
+            return error
+        except Exception as error:
+            text = " ".join(f"{type(error).__name__}: {error}".split())[:_LONGEST_TEXT]
+            if isinstance(error, MemoryError):
+                text = f"one that needs more than {self._memory / 1e6:.0f} MB of memory"
+            refused = self._error(text)
+            refused.add_note(traceback.format_exc())
+            return refused
 
     def _error(self, got: str) -> StapeskitError:
-        return StapeskitError(Fault(self._what, "readable", got, self._name, DAMAGED))
+        step = "It is damaged: copy or export it again"
+        return StapeskitError.of(self._what, "readable", got, self._name, step)
+
+
+def _result(outcome: Any) -> Any:
+    if isinstance(outcome, StapeskitError):
+        raise outcome
+    return outcome
+
+
+def can_fork() -> bool:
+    """Return whether a child process can be forked."""
+    return hasattr(os, "fork")
 
 
 def _end(child: int, pipe: Connection) -> int:
@@ -249,53 +264,14 @@ def _end(child: int, pipe: Connection) -> int:
     return status
 
 
-def can_fork() -> bool:
-    """Return whether a child process can be forked."""
-    return hasattr(os, "fork")
-
-
-def _serve(
-    open_source: Callable[[], tuple[Any, Answer]], pipe: Connection, limit_s: float, memory: int
-) -> NoReturn:
-    """In the child process: open the source and answer requests until the parent ends."""
-    try:
-        _isolate(memory)
-        _limit_processor(limit_s)
-        opened = _outcome(open_source)
-        good, found = opened
-        _send(pipe, (good, found[0]) if good else opened)
-        while good:
-            request = pipe.recv()
-            _limit_processor(limit_s)
-            _send(pipe, _outcome(partial(found[1], request)))
-    except EOFError:  # the parent has ended or closed the session
-        pass
-    finally:
-        os._exit(0)
-
-
 def _send(pipe: Connection, outcome: object) -> None:
     """Send an outcome; the bytes of its arrays follow, from their place to that of their copies."""
     buffers: list[pickle.PickleBuffer] = []
     head = pickle.dumps(outcome, protocol=5, buffer_callback=buffers.append)
-    raws = [buffer.raw() for buffer in buffers]
-    pipe.send((head, [raw.nbytes for raw in raws]))
-    for rest in raws:
+    pipe.send((head, [buffer.raw().nbytes for buffer in buffers]))
+    for rest in (buffer.raw() for buffer in buffers):
         while rest:
             rest = rest[os.write(pipe.fileno(), rest) :]
-
-
-def _outcome(work: Callable[[], Any]) -> tuple[bool, Any]:
-    """Return (True, result), or (False, (faults, text of another exception, traceback))."""
-    try:
-        return True, work()
-    except StapeskitError as error:
-        return False, (error.faults, "", "")
-    except MemoryError:
-        return False, ((), "MemoryError", traceback.format_exc())
-    except Exception as error:
-        text = " ".join(f"{type(error).__name__}: {error}".split())[:_LONGEST_TEXT]
-        return False, ((), text, traceback.format_exc())
 
 
 def _isolate(memory: int) -> None:

@@ -8,8 +8,7 @@ import numpy as np
 
 from ct_inertia.bodies import Box, Index
 from ct_inertia.find.overview import Overview
-from ct_inertia.scan.reduced import block_means
-from ct_inertia.scan.scan import Scan
+from ct_inertia.scan.scan import Scan, block_means
 from ct_inertia.voxels.grid import Grid
 from ct_inertia.voxels.masks import grown
 from stapeskit.arrays import Array

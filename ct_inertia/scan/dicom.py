@@ -18,14 +18,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.scan.formats import DICOM_SUFFIXES, has_preamble
-from ct_inertia.scan.header import Header, by_planes, several_values, wrong_header
+from ct_inertia.scan.stored import Stored, by_planes, several_values, wrong_file
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError, list_some
-from stapeskit.warnings import Notice
 
 _UNEVEN = 0.02  # share of the usual distance by which another one may differ: a missing slice doubles it
 _ASIDE = 0.1  # share of a pixel by which slices may lie beside their common normal: rounding of positions
-_ALIKE = {"PixelSpacing": (2, 1e-6), "ImageOrientationPatient": (6, 1e-4)}
+_ALIKE = {
+    "Columns": (1, 0.0),
+    "Rows": (1, 0.0),
+    "PixelSpacing": (2, 1e-6),
+    "ImageOrientationPatient": (6, 1e-4),
+    "BitsAllocated": (1, 0.0),
+    "PixelRepresentation": (1, 0.0),
+}
 """Fields that all slices share: how many numbers, and their rounding."""
 _APART = "Put the slices of one scan into a folder of their own"
 
@@ -67,47 +73,36 @@ class _Frame:
             return np.full(count, np.nan)
         return values if values.shape == (count,) else np.full(count, np.nan)
 
-    def rescaling(self) -> tuple[float, float]:
-        """Return slope and intercept from stored pixels to grey values."""
-        return float(self.get("RescaleSlope", 1.0)), float(self.get("RescaleIntercept", 0.0))
 
-
-def open_dicom(path: Path) -> Header:
-    """Open the DICOM series of a folder, or a file of several frames.
-
-    Raises
-    ------
-    StapeskitError
-        Several series, a damaged file, slices of different sizes or at uneven distances, a single slice, no
-        image, or colours.
-    """
-    heads, others = ({path: _head(path)}, 0) if not path.is_dir() else _only_series(path)
+def open_dicom(path: Path) -> Stored:
+    """Open the DICOM series of a folder, or a file of several frames."""
+    heads, others = _only_series(path) if path.is_dir() else ({path: _head(path)}, 0)
     frames = [frame for file, head in heads.items() for frame in _frames(file, head)]
-    first = frames[0]
+    first, step = frames[0], "Give the folder of the whole series"
     if "Rows" not in first.head:
         kind = getattr(first.head.get("SOPClassUID"), "name", "another kind of DICOM file")
-        step = "Give the folder of the slices"
         raise StapeskitError.of(
-            "the DICOM file", "one of images", f"{kind}, without an image", path.name, step
+            "the DICOM file", "one of images", f"{kind}, without an image", next_step=step
         )
     if len(frames) < 2:
-        step = "Give the folder of the whole series"
-        raise StapeskitError.of("the DICOM file", "one of several frames", "a single slice", path.name, step)
-    for frame in frames:
-        _check_alike(frame, first)
-    header = Header((len(frames), int(first.head.Rows), int(first.head.Columns)), np.dtype(np.uint8))
+        raise StapeskitError.of("the DICOM file", "one of several frames", "a single slice", next_step=step)
+    _check_alike(frames)
+    stored = Stored((len(frames), int(first.head.Rows), int(first.head.Columns)), _dtype(frames))
+    stored.white_is_zero = first.get("PhotometricInterpretation") == "MONOCHROME1"
     if others:
-        header.note(
+        stored.note(
             f"{others} single pictures of other series in {path.name}, such as scouts, were left out."
         )
-    order = _placed(header, frames, path)
-    if order is None:
-        order = np.argsort([int(frame.head.get("InstanceNumber") or 0) for frame in frames], kind="stable")
-        text = f"The slices in {path.name} have no positions: the order of their numbers was taken."
-        header.notices.append(Notice("slice_positions_missing", text))
-        header.known = "the slices have no positions"
-    _add_pixels(header, [frames[k] for k in order], path)
-    return header
+    held: dict[Path, NDArray[Any]] = {}  # the frames of the file that was read last
+
+    def decode(frame: _Frame) -> NDArray[Any]:
+        if frame.file not in held:
+            held.clear()
+            held[frame.file] = _pixels(frame, stored)
+        return held[frame.file][frame.number]
+
+    stored.voxels = by_planes(_placed(stored, frames), decode)
+    return stored
 
 
 def _only_series(folder: Path) -> tuple[dict[Path, Any], int]:
@@ -123,8 +118,12 @@ def _only_series(folder: Path) -> tuple[dict[Path, Any], int]:
     if len(stacks) != 1:
         titles = [f"{_title(heads[files[0]])} ({len(files)} files)" for files in series.values()]
         got = f"{len(series)} series{': ' if titles else ''}{list_some(titles, 6)}"
-        raise StapeskitError.of("the folder", "one DICOM series", got, folder.name, _APART)
+        raise StapeskitError.of("the folder", "one DICOM series", got, next_step=_APART)
     return {file: heads[file] for file in stacks[0]}, len(heads) - len(stacks[0])
+
+
+def _title(head: Any) -> str:
+    return str(head.get("SeriesDescription") or f"series {head.get('SeriesNumber', '')}").strip()
 
 
 def _head(file: Path) -> Any:
@@ -132,12 +131,8 @@ def _head(file: Path) -> Any:
 
     head = pydicom.dcmread(file, stop_before_pixels=True, force=not has_preamble(file))
     if len(head) == 0 or ("Rows" in head and not (int(head.Rows) > 0 and int(head.Columns) > 0)):
-        raise wrong_header(file, "DICOM file", "one without fields or pixels")
+        raise wrong_file("DICOM file", "one without fields or pixels", file.name)
     return head
-
-
-def _title(head: Any) -> str:
-    return str(head.get("SeriesDescription") or f"series {head.get('SeriesNumber', '')}").strip()
 
 
 def _frames(file: Path, head: Any) -> list[_Frame]:
@@ -145,95 +140,86 @@ def _frames(file: Path, head: Any) -> list[_Frame]:
     shared = list(head.get("SharedFunctionalGroupsSequence") or [])[:1]
     count = int(head.get("NumberOfFrames") or 1)
     if count > file.stat().st_size:
-        raise wrong_header(file, "DICOM file", f"one of {count} frames")
+        raise wrong_file("DICOM file", f"one of {count} frames", file.name)
     return [_Frame(file, k, head, (*own[k : k + 1], *shared)) for k in range(count)]
 
 
-def _check_alike(frame: _Frame, first: _Frame) -> None:
-    size, expected = ((int(head.Columns), int(head.Rows)) for head in (frame.head, first.head))
-    same = size == expected
+def _check_alike(frames: Sequence[_Frame]) -> None:
     for name, (count, rounding) in _ALIKE.items():
-        one, two = frame.numbers(name, count), first.numbers(name, count)
-        same = same and np.allclose(one, two, rtol=0.0, atol=rounding, equal_nan=True)
-    if not same:
-        wanted = f"of the size, pixel spacing and orientation of {first.file.name}"
-        got = f"{size[0]} x {size[1]} at {frame.numbers('PixelSpacing', 2)[1]:.6g} mm"
-        raise StapeskitError.of(f"slice {frame.file.name}", wanted, got, frame.file.parent.name, _APART)
+        values = np.array([frame.numbers(name, count) for frame in frames])
+        same = np.all(np.isclose(values, values[0], rtol=0.0, atol=rounding, equal_nan=True), axis=1)
+        if not np.all(same):
+            wanted, got = (", ".join(f"{v:.6g}" for v in values[k]) for k in (0, int(np.argmin(same))))
+            wanted = f"of the {name} of {frames[0].file.name} ({wanted})"
+            thing = f"slice {frames[int(np.argmin(same))].file.name}"
+            raise StapeskitError.of(thing, wanted, got, next_step=_APART)
 
 
-def _placed(header: Header, frames: Sequence[_Frame], path: Path) -> NDArray[np.intp] | None:
-    """Set the place of frames with positions, and return their order; None where they have none.
+def _placed(stored: Stored, frames: Sequence[_Frame]) -> list[_Frame]:
+    """Set the place of frames, and return them in the order of their positions.
 
     Raises
     ------
     StapeskitError
-        Their distances are uneven, or they lie beside each other, as a tilted gantry makes them: their voxels
-        are no boxes.
+        They have no positions, their distances are uneven, or they lie beside each other, as a tilted gantry
+        makes them: their voxels are no boxes.
     """
     places = np.array([frame.numbers("ImagePositionPatient", 3) for frame in frames])
     axes = frames[0].numbers("ImageOrientationPatient", 6)
     direction = np.column_stack([axes[:3], axes[3:], np.cross(axes[:3], axes[3:])])
     heights = places @ direction[:, 2]
     if not np.all(np.isfinite(heights)) or not np.ptp(heights) > 0.0:
-        return None
+        wanted, step = "at positions (ImagePositionPatient)", "Export them with positions, or as TIFF slices"
+        raise StapeskitError.of("the slices", wanted, "none, or one for all", next_step=step)
     order = np.argsort(heights, kind="stable")
     steps = np.diff(heights[order])
     middle = float(np.median(steps))
     worst = int(np.argmax(np.abs(steps - middle)))
     if not middle > 0.0 or abs(steps[worst] - middle) > _UNEVEN * middle:
-        got = f"{steps[worst]:.6g} mm after slice {worst + 1}"
+        wanted, got = f"even ({middle:.6g} mm)", f"{steps[worst]:.6g} mm after slice {worst + 1}"
         step = "Slices are missing, or several stacks are mixed: export the series again"
-        thing, wanted = "the distance of DICOM slices", f"even ({middle:.6g} mm)"
-        raise StapeskitError.of(thing, wanted, got, path.name, step)
+        raise StapeskitError.of("the distance of DICOM slices", wanted, got, next_step=step)
     y, x = frames[0].numbers("PixelSpacing", 2)
     aside = np.abs((places[order] - places[order[0]]) @ direction[:, :2])
     if np.any(aside > _ASIDE * np.array([x, y])):
+        wanted = "one behind the other along their normal"
         got = f"slices up to {aside.max():.3g} mm beside the first one (tilted gantry)"
         step = "Resample the series to a grid of right angles, and export that"
-        raise StapeskitError.of("the slices", "one behind the other along their normal", got, path.name, step)
-    header.spacing_mm = np.array([x, y, np.mean(steps)])
-    header.origin_mm, header.direction, header.anatomical = places[order[0]], direction, True
-    return order
+        raise StapeskitError.of("the slices", wanted, got, next_step=step)
+    stored.spacing_mm = np.array([x, y, np.mean(steps)])
+    stored.origin_mm, stored.direction, stored.anatomical = places[order[0]], direction, True
+    return [frames[k] for k in order]
 
 
-def _add_pixels(header: Header, frames: Sequence[_Frame], path: Path) -> None:
-    """Set how the pixels of frames are read and rescaled.
+def _dtype(frames: Sequence[_Frame]) -> np.dtype[Any]:
+    """Return the type of the rescaled pixels of all frames.
 
     Raises
     ------
     StapeskitError
-        Colours, several types of pixels, or a rescaling that is none.
+        Colours, another type of pixels, or a rescaling that is none or differs within a file.
     """
     first = frames[0]
-    shown = str(first.get("PhotometricInterpretation"))
-    if int(first.get("SamplesPerPixel", 1)) > 1 or shown == "PALETTE COLOR":
-        raise several_values(first.file, "a colour image")
-    kinds = {(int(one.get("BitsAllocated", 0)), int(one.get("PixelRepresentation", 0))) for one in frames}
-    ((bits, signed), *more) = kinds
-    if more or bits not in (8, 16, 32):
-        got, step = f"pixels of {bits} bits, {len(kinds)} types", "Export grey values of one type"
-        raise StapeskitError.of("the DICOM pixels", "of 8, 16 or 32 bits, all alike", got, path.name, step)
-    rescaling = {frame.file: frame.rescaling() for frame in frames}
-    if not np.all(np.isfinite([*rescaling.values()])) or any(
-        frame.rescaling() != rescaling[frame.file] for frame in frames
-    ):
+    if int(first.get("SamplesPerPixel", 1)) > 1 or first.get("PhotometricInterpretation") == "PALETTE COLOR":
+        raise several_values("a colour image", first.file.name)
+    bits, signed = int(first.get("BitsAllocated", 0)), int(first.get("PixelRepresentation", 0))
+    if bits not in (8, 16, 32):
+        step = "Export grey values of one type"
+        raise StapeskitError.of("the DICOM pixels", "of 8, 16 or 32 bits", f"{bits} bits", next_step=step)
+    rescaling = {frame.file: _rescaling(frame) for frame in frames}
+    alike = all(_rescaling(frame) == rescaling[frame.file] for frame in frames)
+    if not alike or not np.all(np.isfinite([*rescaling.values()])):
         got, step = "others in one file, or no numbers", "Export the series as single slices"
-        raise StapeskitError.of("the rescaling", "one slope and offset a file", got, path.name, step)
+        raise StapeskitError.of("the rescaling", "one slope and offset a file", got, next_step=step)
     scaled = set(rescaling.values()) != {(1.0, 0.0)}
-    header.dtype = np.dtype(np.float32 if scaled else f"{'i' if signed else 'u'}{bits // 8}")
-    header.white_is_zero = shown == "MONOCHROME1"
-    held: dict[Path, NDArray[Any]] = {}
-
-    def decode(frame: _Frame) -> NDArray[Any]:
-        if frame.file not in held:
-            held.clear()  # the frames of the file that was read last
-            held[frame.file] = _pixels(frame, header)
-        return held[frame.file][frame.number]
-
-    header.read = by_planes(frames, decode)
+    return np.dtype(np.float32 if scaled else f"{'i' if signed else 'u'}{bits // 8}")
 
 
-def _pixels(frame: _Frame, header: Header) -> NDArray[Any]:
+def _rescaling(frame: _Frame) -> tuple[float, float]:
+    return float(frame.get("RescaleSlope", 1.0)), float(frame.get("RescaleIntercept", 0.0))
+
+
+def _pixels(frame: _Frame, stored: Stored) -> NDArray[Any]:
     """Return the pixels [frame, y, x] of the file of a frame, rescaled by the slope and offset of the file.
 
     Notes
@@ -245,18 +231,18 @@ def _pixels(frame: _Frame, header: Header) -> NDArray[Any]:
     import pydicom
     import SimpleITK as sitk
 
-    file = frame.file
     sitk.ProcessObject.SetGlobalWarningDisplay(False)
     values: NDArray[Any] | None = None
     try:
-        if not header.white_is_zero:
+        values: NDArray[Any] | None = None
+        if not stored.white_is_zero:
             with suppress(RuntimeError):
-                values = sitk.GetArrayFromImage(sitk.ReadImage(str(file)))
+                values = sitk.GetArrayFromImage(sitk.ReadImage(str(frame.file)))
         if values is None:
-            values = pydicom.dcmread(file, force=True).pixel_array
-            if header.dtype.kind == "f":
-                slope, intercept = frame.rescaling()
+            values = pydicom.dcmread(frame.file, force=True).pixel_array
+            if stored.dtype.kind == "f":
+                slope, intercept = _rescaling(frame)
                 values = values * np.float32(slope) + np.float32(intercept)
-        return values.reshape(-1, *header.shape[1:]).astype(header.dtype, casting="same_kind", copy=False)
+        return values.reshape(-1, *stored.shape[1:]).astype(stored.dtype, casting="same_kind", copy=False)
     except (RuntimeError, ValueError, TypeError, AttributeError) as fault:
-        raise wrong_header(file, "DICOM file", "one whose pixels cannot be read") from fault
+        raise wrong_file("DICOM file", "one whose pixels cannot be read", frame.file.name) from fault

@@ -9,14 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from ct_inertia.scan.header import Header
+from ct_inertia.scan.stored import Stored
 from stapeskit.faults import StapeskitError
-
-if TYPE_CHECKING:
-    from ct_inertia.scan.raw import RawLayout
 
 
 @dataclass(frozen=True)
@@ -28,17 +25,17 @@ class Format:
     title : str
         For people.
     opener : str
-        Module and function of ``ct_inertia.scan`` that takes a path and returns `Header`.
+        Module and function of ``ct_inertia.scan`` that takes a path and returns `Stored`.
     reads : str
         What is read of it, for docs/formats.md.
     suffixes : tuple of str
         Of files, lower case.
     libraries : tuple of str
         Modules that read it.
-    matches : callable or None
-        Recognises a file or folder by its content, where no suffix decides.
     carries_place : bool
         Other programs read spacing, origin and direction of the format as they are read here.
+    matches : callable or None
+        Recognises a file or folder by its content, where no suffix decides.
     """
 
     title: str
@@ -46,14 +43,14 @@ class Format:
     reads: str
     suffixes: tuple[str, ...] = ()
     libraries: tuple[str, ...] = ()
-    matches: Callable[[Path], bool] | None = None
     carries_place: bool = False
+    matches: Callable[[Path], bool] | None = None
 
-    def open_file(self, path: Path, *layout: RawLayout | None) -> Header:
-        """Read the header of a scan; that of raw voxels is their layout."""
+    def open_file(self, path: Path) -> Stored:
+        """Read the header of a scan."""
         module, function = self.opener.split(".")
-        header: Header = getattr(import_module(f"ct_inertia.scan.{module}"), function)(path, *layout)
-        return header
+        stored: Stored = getattr(import_module(f"ct_inertia.scan.{module}"), function)(path)
+        return stored
 
 
 DICOM_SUFFIXES = (".dcm", ".dicom", ".ima")
@@ -79,83 +76,37 @@ def has_preamble(path: Path) -> bool:
         return False
 
 
-RAW = Format(
-    "raw voxels",
-    "raw.open_raw",
-    "as `--shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N]` say (also keys of `[scan]`)",
-    (".raw", ".vol", ".bin", ".dat", ".img"),
+_TIFF = "BigTIFF, ImageJ, OME-TIFF (also of several files): spacing, place; packed; 0 is white: inverted"
+_NRRD = "also segmentations (seg.nrrd): origin, direction and units, attached or detached; raw, gzip, bzip2"
+_META = "origin, direction and units, attached or detached; raw or packed"
+_NIFTI = "NIfTI-1 and -2: origin, direction and units, attached or detached; Analyze 7.5: spacing"
+_AIM = "versions 020 and 030: spacing and origin; its density line is shown for `--calibration`"
+_VGI = "a .vgi with its .vol file: spacing"
+_AMIRA = "also Avizo: binary voxels that are not packed, spacing, origin, names of label materials"
+_LAYOUT = (
+    "as `--shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N]` say (also keys of `[scan]`)"
+)
+_DICOM = "series and multi-frame: order by position, rescaling of every file; several series are listed"
+_SLICES = (
+    "TIFF, PNG, BMP, JPEG in the order of their numbers, gaps reported; pixel size of the Bruker/SkyScan "
+    "reconstruction log"
 )
 
+RAW = Format("raw voxels", "raw.open_raw", _LAYOUT, (".raw", ".vol", ".bin", ".dat", ".img"))
 FORMATS = (
-    Format(
-        "TIFF",
-        "tiff.open_tiff",
-        "BigTIFF, ImageJ, OME-TIFF (also of several files): spacing, place; packed; 0 is white: inverted",
-        (".tif", ".tiff", ".btf", ".tf8", ".tf2"),
-        ("tifffile",),
-    ),
-    Format(
-        "NRRD",
-        "itk.open_nrrd",
-        "also segmentations (seg.nrrd): origin, direction and units, attached or detached; raw, gzip, bzip2",
-        (".nrrd", ".nhdr"),
-        ("SimpleITK",),
-        carries_place=True,
-    ),
-    Format(
-        "MHA, MHD",
-        "itk.open_metaimage",
-        "origin, direction and units, attached or detached; raw or packed",
-        (".mha", ".mhd"),
-        ("SimpleITK",),
-        carries_place=True,
-    ),
-    Format(
-        "NIfTI",
-        "nifti.open_nifti",
-        "NIfTI-1 and -2: origin, direction and units, attached or detached; Analyze 7.5: spacing",
-        (".nii", ".nii.gz", ".hdr"),
-        ("nibabel",),
-        carries_place=True,
-    ),
-    Format(
-        "Scanco ISQ",
-        "scanners.open_isq",
-        "spacing",
-        (".isq", ".rsq", ".rad"),
-    ),
-    Format(
-        "Scanco AIM",
-        "scanners.open_aim",
-        "versions 020 and 030: spacing and origin; its density line is shown for `--calibration`",
-        (".aim",),
-    ),
-    Format("VGStudio", "scanners.open_vgi", "a .vgi with its .vol file: spacing", (".vgi",)),
-    Format(
-        "Amira",
-        "scanners.open_amira",
-        "also Avizo: binary voxels that are not packed, spacing, origin, names of label materials",
-        (".am",),
-    ),
+    Format("TIFF", "tiff.open_tiff", _TIFF, (".tif", ".tiff", ".btf", ".tf8", ".tf2"), ("tifffile",)),
+    Format("NRRD", "itk.open_nrrd", _NRRD, (".nrrd", ".nhdr"), ("SimpleITK",), True),
+    Format("MHA, MHD", "itk.open_metaimage", _META, (".mha", ".mhd"), ("SimpleITK",), True),
+    Format("NIfTI", "nifti.open_nifti", _NIFTI, (".nii", ".nii.gz", ".hdr"), ("nibabel",), True),
+    Format("Scanco ISQ", "scanners.open_isq", "spacing", (".isq", ".rsq", ".rad")),
+    Format("Scanco AIM", "scanners.open_aim", _AIM, (".aim",)),
+    Format("VGStudio", "scanners.open_vgi", _VGI, (".vgi",)),
+    Format("Amira", "scanners.open_amira", _AMIRA, (".am",)),
     RAW,
-    Format("OME-Zarr", "zarr.open_zarr", "0.1 to 0.5: scale and translation", (), ("zarr",), _is_zarr),
+    Format("OME-Zarr", "zarr.open_zarr", "0.1 to 0.5: scale and translation", (), ("zarr",), False, _is_zarr),
+    Format("DICOM", "dicom.open_dicom", _DICOM, DICOM_SUFFIXES, ("pydicom", "SimpleITK"), True, _is_dicom),
     Format(
-        "DICOM",
-        "dicom.open_dicom",
-        "series and multi-frame: order by position, rescaling of every file; several series are listed",
-        DICOM_SUFFIXES,
-        ("pydicom", "SimpleITK"),
-        _is_dicom,
-        carries_place=True,
-    ),
-    Format(
-        "a folder of slices",
-        "slices.open_slices",
-        "TIFF, PNG, BMP, JPEG in the order of their numbers, gaps reported; pixel size of the Bruker/SkyScan "
-        "reconstruction log",
-        (),
-        ("tifffile", "PIL.Image"),
-        Path.is_dir,
+        "a folder of slices", "slices.open_slices", _SLICES, (), ("tifffile", "PIL.Image"), False, Path.is_dir
     ),
 )
 """In this order a file or folder is recognised by its content; the last entry takes every other folder."""
@@ -169,21 +120,15 @@ def format_of(path: Path) -> Format:
     StapeskitError
         No format of the table.
     """
-    if not path.is_dir():
-        # VMS adds a version number to the names of Scanco files: SCAN.ISQ;1
-        name = path.name.lower().split(";")[0]
-        for entry in FORMATS:
-            if name.endswith(entry.suffixes):
-                return entry
-    for entry in FORMATS:
-        if entry.matches is not None and entry.matches(path):
-            return entry
-    raise StapeskitError.of(
-        "the scan",
-        f"a volume of a known format ({', '.join(entry.title for entry in FORMATS)})",
-        path.name,
-        next_step="Export it in one of these formats, or as raw voxels with --shape and --dtype",
-    )
+    # VMS adds a version number to the names of Scanco files: SCAN.ISQ;1
+    name = "" if path.is_dir() else path.name.lower().split(";")[0]
+    named = (entry for entry in FORMATS if name.endswith(entry.suffixes))
+    matching = (entry for entry in FORMATS if entry.matches is not None and entry.matches(path))
+    for entry in chain(named, matching):
+        return entry
+    known = ", ".join(entry.title for entry in FORMATS)
+    step = "Export it in one of these formats, or as raw voxels with --shape and --dtype"
+    raise StapeskitError.of("the scan", f"a volume of a known format ({known})", path.name, next_step=step)
 
 
 def stem_of(name: str) -> str:

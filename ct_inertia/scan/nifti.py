@@ -11,87 +11,65 @@ from typing import Any
 
 import numpy as np
 
-from ct_inertia.scan.header import Header, no_data_file, several_values, unpack_once
-from ct_inertia.scan.itk import unpacked
 from ct_inertia.scan.place import mm_per_unit
-from ct_inertia.scan.scan import check_grey_values
+from ct_inertia.scan.stored import Stored, Stream, no_data_file, several_values
 from stapeskit.arrays import Array
-from stapeskit.warnings import Notice
 
 _LPS_FROM_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
-def open_nifti(path: Path) -> Header:
-    """Open a NIfTI or Analyze volume.
-
-    Raises
-    ------
-    StapeskitError
-        A damaged header, a missing or too short data file, or several values in a voxel.
-    """
+def open_nifti(path: Path) -> Stored:
+    """Open a NIfTI or Analyze volume, attached or detached."""
     import nibabel
 
     try:
         image: Any = nibabel.load(path)
     except FileNotFoundError as fault:
-        raise no_data_file(path.with_suffix(".img"), path) from fault
-    voxels = image.dataobj
-    shape = [int(n) for n in voxels.shape]
-    while len(shape) > 3 and shape[-1] == 1:
-        shape.pop()
-    if len(shape) > 3 and min(shape[:3]) > 1:
-        raise several_values(path, f"{int(np.prod(shape[3:]))} values (a vector or time image)")
-    stored = image.header.get_data_dtype()
-    if stored.names:
-        raise several_values(path, "a colour (RGB) image")
-    check_grey_values(shape[::-1], stored, path.name)
-    data = Path(image.file_map["image"].filename)
-    header = Header(tuple(reversed(shape)), stored, files=(data,))
-    header.slope, header.intercept = float(voxels.slope), float(voxels.inter)
-    _place(header, image.header, path.name)
-    if data.suffix.lower() == ".gz":
-        # nibabel stops before the check sum of the stream
-        header.read = unpack_once(
-            lambda: unpacked(data, 0, int(voxels.offset), header.shape, stored, exact=False)
-        )
-    else:
-        header.set_planes(data, int(voxels.offset), path, exact=True)
-    return header
+        raise no_data_file(path.with_suffix(".img")) from fault
+    dtype = image.header.get_data_dtype()
+    if dtype.names:
+        raise several_values("a colour (RGB) image")
+    voxels, data = image.dataobj, Path(image.file_map["image"].filename)
+    packed = data.suffix.lower() == ".gz"
+    stored = Stored(voxels.shape[::-1], dtype, Stream(data, 0, int(voxels.offset), packed, exact=True))
+    stored.slope, stored.intercept = float(voxels.slope), float(voxels.inter)
+    if len(stored.shape) > 2:  # a picture has no place
+        _place(stored, image.header, path.name)
+    return stored
 
 
-def _place(header: Header, stated: Any, name: str) -> None:
+def _place(stored: Stored, header: Any, name: str) -> None:
     """Set spacing, origin and direction: sform, else qform, else voxel sizes alone (nifti1.h)."""
-    forms = (stated.get_sform(True)[0], stated.get_qform(True)[0]) if "sform_code" in stated else (None, None)
-    unit = mm_per_unit(stated.get_xyzt_units()[0]) if "xyzt_units" in stated else None
+    forms = (header.get_sform(True)[0], header.get_qform(True)[0]) if "sform_code" in header else (None, None)
+    unit = mm_per_unit(header.get_xyzt_units()[0]) if "xyzt_units" in header else None
     if unit is None:
-        unit = 1.0
         text = f"{name} does not say its unit of length: mm was taken, as NIfTI programs do."
-        header.notices.append(Notice("length_unit_assumed", text))
+        stored.note(text, "length_unit_assumed")
+    unit = unit or 1.0
     sform, qform = (None if form is None else _LPS_FROM_RAS @ form for form in forms)
-    steps = np.abs(np.asarray(stated.get_zooms()[:3], dtype=float))
+    steps = np.abs(np.asarray(header.get_zooms()[:3], dtype=float))
     affine = next((form for form in (sform, qform) if form is not None), np.diag([*steps, 1.0]))
     spacing = np.linalg.norm(affine[:3, :3], axis=0)
     if not np.all(np.isfinite(affine)) or np.any(spacing <= 0.0):
         return
-    header.spacing_mm, header.origin_mm = spacing * unit, affine[:3, 3] * unit
-    header.direction = affine[:3, :3] / spacing
-    header.anatomical = sform is not None or qform is not None
+    stored.spacing_mm, stored.origin_mm = spacing * unit, affine[:3, 3] * unit
+    stored.direction = affine[:3, :3] / spacing
+    stored.anatomical = sform is not None or qform is not None
     if sform is not None and qform is not None:
-        _note_difference(header, affine, qform, "qform", unit, name)
+        _note_difference(stored, affine, qform, "qform", unit, name)
     elif sform is not None:
-        sized = affine.copy()
-        sized[:3, :3] *= steps / spacing
-        _note_difference(header, affine, sized, "voxel sizes (pixdim)", unit, name)
+        sized = affine @ np.diag([*(steps / spacing), 1.0])
+        _note_difference(stored, affine, sized, "voxel sizes (pixdim)", unit, name)
 
 
 def _note_difference(
-    header: Header, affine: Array, other: Array, called: str, unit: float, name: str
+    stored: Stored, affine: Array, other: Array, called: str, unit: float, name: str
 ) -> None:
     """Add a notice where the sform, which counts, and the rest of the header place voxels differently."""
     steps, stated = (np.linalg.norm(one[:3, :3], axis=0) for one in (affine, other))
-    corners = np.array([[*corner, 1.0] for corner in product(*((0, n - 1) for n in header.shape[::-1]))])
+    corners = np.array([[*corner, 1.0] for corner in product(*((0, n - 1) for n in stored.shape[:-4:-1]))])
     apart = float(np.linalg.norm((corners @ (affine - other).T)[:, :3], axis=1).max()) * unit
-    if apart <= 0.5 * unit * steps.min() and np.max(np.abs(stated / steps - 1.0)) <= 1e-3:
+    if apart <= 0.5 * unit * steps.min():
         return
     first, second = (", ".join(f"{value:.5g}" for value in unit * one) for one in (steps, stated))
     text = (
@@ -99,4 +77,4 @@ def _note_difference(
         f"and by the {called} ({second} mm); a corner lies {apart:.4g} mm apart. Programs that prefer the "
         f"other show other coordinates and sizes. Save it anew from the program that shows it rightly."
     )
-    header.notices.append(Notice("header_places_differ", text))
+    stored.note(text, "header_places_differ")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -11,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.scan.formats import RAW, Format, format_of
-from ct_inertia.scan.header import Header, wrong_header
-from ct_inertia.scan.place import place_scan
-from ct_inertia.scan.raw import RawLayout, plane_reader
-from ct_inertia.scan.scan import Fetch, Scan
+from ct_inertia.scan.place import choose_spacing, turn_right_handed
+from ct_inertia.scan.raw import RawLayout, find_voxels, open_raw, plane_reader
+from ct_inertia.scan.scan import Box, Fetch, Scan
+from ct_inertia.scan.stored import Stored, wrong_file
 from stapeskit.faults import StapeskitError
-from stapeskit.sandbox import Answer, Session, can_fork, memory_limit, processor_limit_s
+from stapeskit.sandbox import Answer, Session, can_fork, memory_limit, no_requests, processor_limit_s
 
 Result = TypeVar("Result")
 
@@ -57,9 +58,7 @@ def open_scan(
         three-dimensional picture of differing grey values.
     """
     path = _existing(Path(path))
-    header, fetch, entry = _opened(path, raw)
-    facts = {"nan_as_air": nan_as_air, "carries_place": entry.carries_place}
-    scan = place_scan(header, fetch, path, spacing_mm, mirror, **facts)
+    scan = replace(_placed(path, *_opened(path, raw), spacing_mm, mirror), nan_as_air=nan_as_air)
     middle = scan.shape[0] // 2
     plane = scan.read((slice(middle, middle + 1), slice(None), slice(None)))
     first = plane.flat[0]
@@ -71,15 +70,9 @@ def open_scan(
 def open_labels(
     path: Path | str, spacing_mm: float | Sequence[float] | None = None, mirror: str | None = None
 ) -> tuple[NDArray[np.integer[Any]], Scan]:
-    """Read a label volume of any format as a whole.
+    """Read a label volume of any format as a whole; for the rest see `open_scan`.
 
-    Parameters
-    ----------
-    path : Path or str
-    spacing_mm : float or sequence of 3 float, optional
-        That of the scan, where the label file has none; its own wins.
-    mirror : str, optional
-        As in `open_scan`.
+    ``spacing_mm`` is that of the scan, for a label file without one: its own wins.
 
     Returns
     -------
@@ -94,12 +87,10 @@ def open_labels(
         As `open_scan`; also values that are not whole numbers.
     """
     path = _existing(Path(path))
-    header, fetch, entry = _opened(path)
-    header.white_is_zero = False  # numbers that name bodies are neither bright nor dark
-    own = header.spacing_mm is not None and np.all(np.isfinite(header.spacing_mm))
-    grid = place_scan(
-        header, fetch, path, None if own else spacing_mm, mirror, carries_place=entry.carries_place
-    )
+    stored, fetch, entry = _opened(path)
+    stored.white_is_zero = False  # numbers that name bodies are neither bright nor dark
+    own = stored.spacing_mm is not None and np.all(np.isfinite(stored.spacing_mm))
+    grid = _placed(path, stored, fetch, entry, None if own else spacing_mm, mirror)
     labels = grid.read()
     if labels.dtype.kind == "f":
         whole = np.rint(labels)
@@ -118,41 +109,6 @@ def _constant(scan: Scan, value: object) -> StapeskitError:
     return StapeskitError.of("the volume", wanted, got, scan.name, step)
 
 
-def _opened(path: Path, layout: RawLayout | None = None) -> tuple[Header, Fetch, Format]:
-    """Read the header in a child process, which stays where it decodes voxels."""
-    entry = format_of(path) if layout is None or path.is_dir() else RAW
-
-    def open_source() -> tuple[Header, Answer]:
-        given = (layout,) if entry is RAW else ()
-        header = _plainly(entry, path, lambda: entry.open_file(path, *given))
-        read, header.read = cast(Fetch, header.read), None  # asked only where no planes lie in files
-        return header, lambda box: _plainly(entry, path, lambda: read(box))
-
-    limit_s = max(_LEAST_LIMIT_S, processor_limit_s(path))
-    half_of_all = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2 if can_fork() else 0
-    memory = max(memory_limit(path), half_of_all)
-    session = Session(open_source, path, f"the {entry.title} scan", limit_s, memory, entry.libraries)
-    header = session.opened
-    if header.planes is None:
-        return header, session.ask, entry
-    session.close()
-    return header, plane_reader(header.planes, header.shape, header.dtype), entry
-
-
-def _plainly(entry: Format, path: Path, work: Callable[[], Result]) -> Result:
-    """Return what ``work`` returns; whatever a library raises on a damaged file becomes one sentence."""
-    try:
-        return work()
-    except (StapeskitError, MemoryError):
-        raise
-    except Exception as fault:
-        got = "a damaged one, or of another kind"
-        if path.is_file():
-            with path.open("rb") as stream:
-                got += f": it begins with {stream.read(12)!r}"
-        raise wrong_header(path, f"{entry.title} file", got) from fault
-
-
 def _existing(path: Path) -> Path:
     """Return the path of a folder, or of a regular file with content.
 
@@ -163,10 +119,10 @@ def _existing(path: Path) -> Path:
     """
     wanted, got, step = "a file or folder that can be read", "", "Check its path and permissions"
     try:
-        if path.is_dir():
-            next(path.iterdir(), None)
-        elif not path.exists():
+        if not path.exists():
             wanted, got = "an existing file or folder", f"no {path}"
+        elif path.is_dir():
+            next(path.iterdir(), None)
         elif not path.is_file():
             got, step = "a pipe or a device", "Save it as a file"
         elif path.stat().st_size == 0:
@@ -178,3 +134,120 @@ def _existing(path: Path) -> Path:
     if got:
         raise StapeskitError.of("the scan", wanted, got, path.name, step)
     return path if path.name else path.resolve()
+
+
+def _opened(path: Path, layout: RawLayout | None = None) -> tuple[Stored, Fetch, Format]:
+    """Read the header in a child process, which stays where it decodes voxels."""
+    entry = format_of(path) if layout is None or path.is_dir() else RAW
+
+    def open_source() -> tuple[Stored, Answer]:
+        stored = _plainly(entry, path, lambda: _described(entry, path, layout))
+        decode = stored.voxels
+        if not callable(decode):
+            return stored, no_requests
+        stored.voxels = None
+        return stored, lambda box: _plainly(entry, path, lambda: decode(box))
+
+    limit_s = max(_LEAST_LIMIT_S, processor_limit_s(path))
+    half_of_all = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2 if can_fork() else 0
+    memory = max(memory_limit(path), half_of_all)
+    session = Session(open_source, path, f"the {entry.title} scan", limit_s, memory, entry.libraries)
+    stored = session.opened
+    if stored.voxels is None:
+        return stored, session.ask, entry
+    session.close()
+    planes = cast(Sequence[tuple[Path, int]], stored.voxels)
+    return stored, plane_reader(planes, stored.shape, stored.dtype), entry
+
+
+def _described(entry: Format, path: Path, layout: RawLayout | None) -> Stored:
+    stored = open_raw(path, layout) if entry is RAW else entry.open_file(path)
+    find_voxels(stored, path)
+    return stored
+
+
+def _plainly(entry: Format, path: Path, work: Callable[[], Result]) -> Result:
+    """Return what ``work`` returns; whatever a library raises on a damaged file becomes one sentence."""
+    try:
+        return work()
+    except MemoryError:
+        raise
+    except StapeskitError as error:
+        named = (replace(fault, where=fault.where or path.name) for fault in error.faults)
+        raise StapeskitError(*named) from error
+    except Exception as fault:
+        got = "a damaged one, or of another kind"
+        if path.is_file():
+            with path.open("rb") as stream:
+                got += f": it begins with {stream.read(12)!r}"
+        raise wrong_file(f"{entry.title} file", got, path.name) from fault
+
+
+def _placed(
+    path: Path,
+    stored: Stored,
+    fetch: Fetch,
+    entry: Format,
+    spacing_mm: float | Sequence[float] | None,
+    mirror: str | None,
+) -> Scan:
+    """Return the scan behind a file on a right-handed grid; spacing and mirror are the user's.
+
+    Raises
+    ------
+    StapeskitError
+        No spacing, or sheared directions.
+    """
+    name = path.name
+    spacing = choose_spacing(stored, spacing_mm, name)
+    if stored.white_is_zero:
+        stored.note(
+            f"{name} says that 0 is white (WhiteIsZero): bright and dark were exchanged, so that bone is "
+            f"bright. Grey values count from the other end of their range (255 less the stored one, 65535 "
+            f"less it; floats change sign). If bone was bright as stored, correct the tag in its program."
+        )
+    turned = {turn_right_handed(stored, spacing, name)} - {None}
+    if mirror is not None:
+        turned ^= {"xyz".index(mirror)}
+    elif not stored.anatomical:
+        stored.note(
+            f"Nothing in {name} confirms that its slices are in right-handed order: if they are not, the "
+            f"ear is a mirror image. Check a known asymmetry in the report; --mirror x, y or z undoes it.",
+            "handedness_unconfirmed",
+        )
+    return Scan(
+        shape=cast(tuple[int, int, int], stored.shape),
+        dtype=np.dtype(np.float32) if stored.is_scaled else stored.dtype,
+        spacing_mm=spacing,
+        fetch=_grey_values(stored, fetch, tuple(2 - axis for axis in turned if axis is not None)),
+        origin_mm=stored.origin_mm,
+        direction=stored.direction,
+        source=path,
+        files=tuple(dict.fromkeys((path, *stored.files))),
+        notices=tuple(stored.notices),
+        segment_names=stored.names,
+        handedness_confirmed=stored.anatomical,
+        carries_place=entry.carries_place,
+        chunk_planes=stored.depth,
+    )
+
+
+def _grey_values(stored: Stored, fetch: Fetch, reverse: tuple[int, ...]) -> Fetch:
+    """Return a reader that reverses axes z, y, x (0, 1, 2), rescales, and exchanges bright and dark."""
+    if not (reverse or stored.is_scaled or stored.white_is_zero):
+        return fetch
+
+    def read(box: Box) -> NDArray[Any]:
+        asked = list(box)
+        for k in reverse:
+            last, indices = stored.shape[k] - 1, range(stored.shape[k])[box[k]]
+            if len(indices):
+                asked[k] = slice(last - indices[-1], last - indices[0] + 1, indices.step)
+        values = np.ascontiguousarray(np.flip(fetch((asked[0], asked[1], asked[2])), reverse))
+        if stored.is_scaled:
+            values = np.asarray(values * stored.slope + stored.intercept, dtype=np.float32)
+        if stored.white_is_zero:
+            values = -values if values.dtype.kind == "f" else np.invert(values)
+        return values
+
+    return read

@@ -1,24 +1,21 @@
-"""Where the voxels of a scan lie: units, spacing and handedness, by the same rules for every format.
+"""The rules of all formats: what grey values are, units, spacing, right-handed grids.
 
-The rules: the user's spacing wins over that of the file; a spacing that is not known along every axis is
-asked for, not guessed; a left-handed grid is read with one index axis reversed, so that every voxel keeps its
-place; ``--mirror`` then reverses the voxels inside the box of the scan, whose place stays.
+The user's spacing wins over that of the file; a spacing that is not known along every axis is asked for, not
+guessed; a left-handed grid is read with one index axis reversed, so that every voxel keeps its place.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ct_inertia.scan.header import Header
-from ct_inertia.scan.scan import Box, Fetch, Scan, check_grey_values
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
-from stapeskit.warnings import Notice
+
+if TYPE_CHECKING:
+    from ct_inertia.scan.stored import Stored
 
 _MM = {
     **dict.fromkeys(("m", "meter", "metre", "meters", "metres"), 1e3),
@@ -36,7 +33,27 @@ _PRINTER_DPI = (1.0, 72.0, 96.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 1200.
 
 _NOTED_CHANGE = 1e-3  # relative difference of two voxel sizes that is more than rounding
 _UNSET_RATIO = 4.0  # a slice distance of exactly 1 is not believed so far from the pixel size
-_AXES = ("x", "y", "z")
+_ORTHONORMAL = 1e-4  # of products of directions: headers round cosines to four digits; .3 um over a stapes
+
+
+def check_grey_values(shape: Sequence[int], dtype: np.dtype[Any], name: str = "") -> None:
+    """Refuse what is no volume of real numbers.
+
+    Raises
+    ------
+    StapeskitError
+        Not three-dimensional, or neither integers nor floating point numbers.
+    """
+    if dtype.kind == "c":
+        step = "Export the magnitude"
+        raise StapeskitError.of("the volume", "real grey values", "complex numbers", name, step)
+    if len(shape) != 3 or min(shape) < 2:
+        got = f"an image of {' x '.join(str(n) for n in reversed(shape))}"
+        step = "Give the whole stack, or the folder of slices"
+        raise StapeskitError.of("the volume", "three-dimensional", got, name, step)
+    if dtype.kind not in "uif" or dtype.itemsize > 8:
+        wanted, step = "integers or floating point numbers", "Export it as grey values"
+        raise StapeskitError.of("the grey values", wanted, str(dtype), name, step)
 
 
 def mm_per_unit(unit: object) -> float | None:
@@ -65,135 +82,71 @@ def believed_spacing(spacing: Array, unit_mm: float) -> tuple[Array, str]:
     return spacing * unit_mm, ""
 
 
-def _choose_spacing(
-    from_file: Array | None, from_user: float | Sequence[float] | None, name: str, known: str = ""
-) -> tuple[Array, list[Notice]]:
-    """Choose the voxel spacing (3,), mm: that of the user, otherwise that of the file.
-
-    ``known`` is what the file of this name says of an incomplete spacing.
+def choose_spacing(stored: Stored, from_user: float | Sequence[float] | None, name: str) -> Array:
+    """Choose the voxel spacing (3,), mm: that of the user, otherwise that of the file of this name.
 
     Raises
     ------
     StapeskitError
         Neither has it.
     """
-    stated = np.full(3, np.nan) if from_file is None else np.asarray(from_file, dtype=float)
+    stated = np.full(3, np.nan) if stored.spacing_mm is None else np.asarray(stored.spacing_mm, dtype=float)
     stated, unset = believed_spacing(stated, 1.0)
     if from_user is None:
         if not np.all(stated > 0.0):
-            known = unset or known if np.any(np.isnan(stated)) else _times(stated)
+            known = unset or stored.known if np.any(np.isnan(stated)) else _times(stated)
             wanted, got = "in the file or given", f"none{': ' + known if known else ''}"
             step = "Give it in mm with --spacing H or --spacing DX,DY,DZ"
             raise StapeskitError.of("the voxel spacing", wanted, got, name, step)
-        return stated, []
+        return stated
     spacing = np.broadcast_to(np.asarray(from_user, dtype=float), 3).copy()
     with np.errstate(divide="ignore"):
         differ = np.abs(spacing / stated - 1.0) > _NOTED_CHANGE  # never where the file's is NaN
-    if not np.any(differ):
-        return spacing, []
-    text = f"{name} has voxels of {_times(stated)} mm; the given {_times(spacing)} mm were used."
-    return spacing, [Notice("file_read", text)]
-
-
-def place_scan(
-    header: Header,
-    fetch: Fetch,
-    path: Path,
-    spacing_mm: float | Sequence[float] | None = None,
-    mirror: str | None = None,
-    **attributes: Any,
-) -> Scan:
-    """Return the scan behind a header, on a right-handed grid.
-
-    ``fetch`` reads a box of stored values; ``spacing_mm`` and ``mirror`` are the user's, ``attributes``
-    further ones of the scan.
-
-    Raises
-    ------
-    StapeskitError
-        No three-dimensional grey values, no spacing, or sheared directions.
-    """
-    name = path.name
-    check_grey_values(header.shape, header.dtype, name)
-    z, y, x = (int(n) for n in header.shape)
-    shape = (z, y, x)
-    spacing, notices = _choose_spacing(header.spacing_mm, spacing_mm, name, header.known)
-    fetch, dtype = _as_grey_values(header, fetch)
-    if header.white_is_zero:
-        text = (
-            f"{name} says that 0 is white (WhiteIsZero): bright and dark were exchanged, so that bone is "
-            f"bright. Grey values count from the other end of their range (255 less the stored one, 65535 "
-            f"less it; floats change sign). If bone was bright as stored, correct the tag in its program."
-        )
-        notices.append(Notice("file_read", text))
-    origin, direction = np.asarray(header.origin_mm, dtype=float), np.array(header.direction, dtype=float)
-    if direction.shape == (3, 3) and np.linalg.det(direction) < 0.0:
-        axis = int(np.argmin(np.diag(direction)))
-        fetch = _reversed(fetch, shape, axis)
-        origin = origin + direction[:, axis] * spacing[axis] * (shape[2 - axis] - 1)
-        direction[:, axis] *= -1.0
-        text = (
-            f"The axes of {name} are left-handed: its {_AXES[axis]} axis was read in reverse, and every "
-            f"voxel kept its place."
-        )
-        notices.append(Notice("file_read", text))
-    if mirror is not None:
-        fetch = _reversed(fetch, shape, _AXES.index(mirror))
-    elif not header.anatomical:
-        text = (
-            f"Nothing in {name} confirms that its slices are in right-handed order: if they are not, the "
-            f"ear is a mirror image. Check a known asymmetry in the report; --mirror x, y or z undoes it."
-        )
-        notices.append(Notice("handedness_unconfirmed", text))
-    return Scan(
-        shape,
-        dtype,
-        spacing,
-        fetch,
-        origin,
-        direction,
-        source=path,
-        files=tuple(dict.fromkeys((path, *header.files))),
-        notices=(*header.notices, *notices),
-        segment_names=dict(header.names),
-        handedness_confirmed=header.anatomical,
-        chunk_planes=header.depth,
-        **attributes,
-    )
-
-
-def _as_grey_values(header: Header, fetch: Fetch) -> tuple[Fetch, np.dtype[Any]]:
-    """Apply slope and intercept, to float32 where they change anything, and exchange bright and dark."""
-    dtype = header.dtype.newbyteorder("=")
-    scaled = (header.slope, header.intercept) != (1.0, 0.0)
-    if not scaled and not header.white_is_zero:
-        return fetch, dtype
-
-    def read(box: Box) -> NDArray[Any]:
-        values = fetch(box)
-        if scaled:
-            values = np.asarray(values * header.slope + header.intercept, dtype=np.float32)
-        if header.white_is_zero:
-            values = -values if values.dtype.kind == "f" else np.invert(values)
-        return values
-
-    return read, np.dtype(np.float32) if scaled else dtype
-
-
-def _reversed(fetch: Fetch, shape: tuple[int, int, int], axis: int) -> Fetch:
-    """Return a reader of the grid with its x, y or z axis (0, 1, 2) reversed."""
-    k = 2 - axis
-
-    def reversed_fetch(box: Box) -> NDArray[Any]:
-        asked = range(shape[k])[box[k]]
-        if not len(asked):
-            return fetch(box)
-        turned = list(box)
-        turned[k] = slice(shape[k] - 1 - asked[-1], shape[k] - asked[0], asked.step)
-        return np.ascontiguousarray(np.flip(fetch((turned[0], turned[1], turned[2])), axis=k))
-
-    return reversed_fetch
+    if np.any(differ):
+        stored.note(f"{name} has voxels of {_times(stated)} mm; the given {_times(spacing)} mm were used.")
+    return spacing
 
 
 def _times(values: Array) -> str:
     return " x ".join("?" if np.isnan(value) else f"{value:.6g}" for value in values)
+
+
+def turn_right_handed(stored: Stored, spacing_mm: Array, name: str) -> int | None:
+    """Turn a left-handed grid: of its axes the one that is turned least then begins at its other end.
+
+    Returns that axis x, y or z (0, 1, 2), along which voxels are to be read in reverse, or None.
+    """
+    origin, direction = (np.array(values, dtype=float) for values in (stored.origin_mm, stored.direction))
+    if direction.shape != (3, 3) or not np.linalg.det(direction) < 0.0:
+        return None
+    axis = int(np.argmin(np.diag(direction)))
+    stored.origin_mm = origin + direction[:, axis] * spacing_mm[axis] * (stored.shape[2 - axis] - 1)
+    direction[:, axis] *= -1.0
+    stored.direction = direction
+    stored.note(
+        f"The axes of {name} are left-handed: its {'xyz'[axis]} axis was read in reverse, and every "
+        f"voxel kept its place."
+    )
+    return axis
+
+
+def nearest_rotation(direction: Array, name: str) -> Array:
+    """Return the rotation next to a direction matrix (3, 3), which headers round to a few digits.
+
+    Raises
+    ------
+    StapeskitError
+        It is not finite, sheared or left-handed.
+    """
+    expected, step = "", ""
+    if direction.shape != (3, 3) or not np.all(np.isfinite(direction)):
+        expected, step = "a finite 3x3 matrix", "Export it again"
+    elif np.max(np.abs(direction.T @ direction - np.eye(3))) > _ORTHONORMAL:
+        expected, step = "orthonormal (no shear)", "Resample the volume onto a rectangular grid"
+    elif np.linalg.det(direction) < 0.0:
+        expected, step = "right-handed (determinant +1)", "Turn one axis of the grid"
+    if expected:
+        got = np.round(direction, 6).tolist()
+        raise StapeskitError.of("the direction matrix", expected, got, name, step)
+    left, _, right = np.linalg.svd(direction)
+    return np.asarray(left @ right)

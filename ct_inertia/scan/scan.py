@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
@@ -12,6 +13,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ct_inertia.scan.place import check_grey_values, nearest_rotation
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.warnings import Notice
@@ -24,8 +26,6 @@ Fetch = Callable[[Box], NDArray[Any]]
 
 LARGEST_GREY = 1e15
 """Squares of larger grey values, summed over a scan, overflow in single precision."""
-
-_ORTHONORMAL = 1e-4  # of products of directions: headers round cosines to four digits; .3 um over a stapes
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ class Scan:
             if values.shape != (3,) or not np.all(np.isfinite(values)) or not good:
                 step = "Correct the header, or give --spacing"
                 raise StapeskitError.of(thing, "three proper numbers in mm", values, self.name, step)
-        direction = _nearest_rotation(np.array(self.direction, dtype=float), self.name)
+        direction = nearest_rotation(np.array(self.direction, dtype=float), self.name)
         for name, value in (("spacing_mm", spacing), ("origin_mm", origin), ("direction", direction)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
@@ -196,20 +196,18 @@ class Scan:
             There are fewer than two along an axis.
         """
         corners = np.asarray(corners_mm, dtype=float).reshape(2, 3)
-        grid = np.stack(np.meshgrid(*corners.T, indexing="ij"), axis=-1).reshape(-1, 3)
-        index = self.index_points(grid)
-        low = np.clip(np.ceil(index.min(axis=0) - 1e-6), 0, self.size)
-        high = np.clip(np.floor(index.max(axis=0) + 1e-6) + 1, 0, self.size)
+        index = self.index_points(list(product(*corners.T)))
+        low = np.clip(np.ceil(index.min(axis=0) - 1e-6), 0, self.size).astype(int)
+        high = np.clip(np.floor(index.max(axis=0) + 1e-6) + 1, 0, self.size).astype(int)
         if np.any(high - low < 2):
-            ends = self.scan_points(np.array([[0, 0, 0], self.size - 1]))
-            given, held = (
+            ends = self.scan_points(np.array([0 * self.size, self.size - 1]))
+            held, given = (
                 " to ".join(", ".join(f"{value:.6g}" for value in end) for end in pair)
-                for pair in (corners, ends)
+                for pair in (ends, corners)
             )
             wanted, step = f"a box in the scan ({held} mm)", "Give two corners in scan coordinates, mm"
             raise StapeskitError.of("--box", wanted, f"{given} mm", self.name, step)
-        x, y, z = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
-        return z, y, x
+        return slice(low[2], high[2]), slice(low[1], high[1]), slice(low[0], high[0])
 
     def part(self, box: Box) -> Scan:
         """Return a box of the scan as a scan of its own, at its place; slices with steps make it coarser."""
@@ -263,43 +261,31 @@ def _slices(ranges: Sequence[range]) -> Box:
     return z, y, x
 
 
-def check_grey_values(shape: Sequence[int], dtype: np.dtype[Any], name: str) -> None:
-    """Refuse what is no volume of real numbers.
+def block_means(scan: Scan, block: Sequence[int], box: Box) -> NDArray[np.float32]:
+    """Average a box over blocks of so many voxels (x, y, z), a few planes at a time.
+
+    The box has steps of 1 and holds a whole number of blocks. Sums over the means times the volume of a block
+    are the sums over the voxels: the grey integral does not change, and its first moments only by what grey
+    values vary within blocks.
 
     Raises
     ------
     StapeskitError
-        Not three-dimensional, or neither integers nor floating point numbers.
+        A voxel cannot be read or is not finite.
     """
-    if dtype.kind == "c":
-        step = "Export the magnitude"
-        raise StapeskitError.of("the volume", "real grey values", "complex numbers", name, step)
-    if len(shape) != 3 or min(shape) < 2:
-        got = f"an image of {' x '.join(str(n) for n in reversed(shape))}"
-        step = "Give the whole stack, or the folder of slices"
-        raise StapeskitError.of("the volume", "three-dimensional", got, name, step)
-    if dtype.kind not in "uif" or dtype.itemsize > 8:
-        wanted, step = "integers or floating point numbers", "Export it as grey values"
-        raise StapeskitError.of("the grey values", wanted, str(dtype), name, step)
-
-
-def _nearest_rotation(direction: Array, name: str) -> Array:
-    """Return the rotation next to a direction matrix (3, 3), which headers round to a few digits.
-
-    Raises
-    ------
-    StapeskitError
-        It is not finite, sheared or left-handed.
-    """
-    expected, step = "", ""
-    if direction.shape != (3, 3) or not np.all(np.isfinite(direction)):
-        expected, step = "a finite 3x3 matrix", "Export it again"
-    elif np.max(np.abs(direction.T @ direction - np.eye(3))) > _ORTHONORMAL:
-        expected, step = "orthonormal (no shear)", "Resample the volume onto a rectangular grid"
-    elif np.linalg.det(direction) < 0.0:
-        expected, step = "right-handed (determinant +1)", "Turn one axis of the grid"
-    if expected:
-        got = np.round(direction, 6).tolist()
-        raise StapeskitError.of("the direction matrix", expected, got, name, step)
-    left, _, right = np.linalg.svd(direction)
-    return np.asarray(left @ right)
+    bx, by, bz = (int(n) for n in block)
+    lengths = [len(range(n)[along]) for along, n in zip(box, scan.shape, strict=True)]
+    means = np.empty([n // size for n, size in zip(lengths, (bz, by, bx), strict=True)], dtype=np.float32)
+    share = np.float32(1.0 / (bx * by * bz))
+    for first, slab in scan.slabs(bz, box):
+        layer = slab[0].astype(np.float32)
+        for plane in slab[1:]:
+            layer += plane
+        rows = layer[::by] * share
+        for j in range(1, by):
+            rows += layer[j::by] * share
+        mean = means[first // bz]
+        np.copyto(mean, rows[:, ::bx])
+        for i in range(1, bx):
+            mean += rows[:, i::bx]
+    return means

@@ -1,25 +1,36 @@
 """Formats of scanners and viewers that no library reads: Scanco ISQ and AIM, VGStudio, Amira and Avizo.
 
-A header that is cut or makes no sense raises whatever it does; `open_scan` makes one sentence of it. The
-layouts of ISQ and AIM follow the reader in ITK: https://github.com/KitwareMedical/ITKIOScanco
+The layouts of ISQ and AIM follow the reader in ITK: https://github.com/KitwareMedical/ITKIOScanco
 """
 
 from __future__ import annotations
 
 import re
-import struct
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ct_inertia.scan.header import HEADER_BYTES, Header, beside, several_values, wrong_header
 from ct_inertia.scan.place import mm_per_unit
-from ct_inertia.scan.scan import check_grey_values
+from ct_inertia.scan.stored import HEADER_BYTES, Stored, Stream, beside, several_values, wrong_file
 from stapeskit.faults import StapeskitError
-from stapeskit.warnings import Notice
 
-_BLOCK = 512  # bytes of a block of an ISQ header
+
+def _layout(**fields: tuple[int, str]) -> np.dtype[Any]:
+    """Return a binary header as a type: of each field the byte at which it begins, and its type."""
+    offsets, formats = zip(*fields.values(), strict=True)
+    return np.dtype({"names": list(fields), "formats": formats, "offsets": offsets})
+
+
+_ISQ = _layout(magic=(0, "S16"), size=(44, "3<i4"), extent_um=(56, "3<i4"), blocks=(508, "<i4"))
+_ISQ_BLOCK = 512  # bytes
+_AIM_020 = _layout(
+    blocks=(0, "3<i4"), kind=(40, "<i4"), place=(44, "3<i4"), size=(56, "3<i4"), cell=(128, "(3,2)<u2")
+)
+_AIM_030 = _layout(
+    blocks=(16, "3<i8"), kind=(68, "<i4"), place=(72, "3<i8"), size=(96, "3<i8"), cell=(240, "3<i8")
+)
+"""``blocks``: bytes of the three blocks before the voxels: two headers and the processing log."""
 _AIM_TYPES = {
     0x00010001: "<i1",
     0x00160001: "<u1",
@@ -31,75 +42,62 @@ _AIM_TYPES = {
 }
 _VGI_KINDS = {"unsigned integer": "u", "signed integer": "i", "integer": "i", "float": "f", "double": "f"}
 _AMIRA_TYPES = {"byte": "u1", "short": "i2", "ushort": "u2", "int": "i4", "float": "f4", "double": "f8"}
-_BRACKET = re.compile(r'("[^"]{0,200}"|[\w.-]{1,200})?\s{0,20}([{}])')
 
 
-def open_isq(path: Path) -> Header:
+def open_isq(path: Path) -> Stored:
     """Open a Scanco ISQ volume.
-
-    Raises
-    ------
-    StapeskitError
-        Not such a file, or truncated.
 
     Notes
     -----
     An ISQ stores the extent of the whole volume in whole micrometres: the voxel size is rounded to that over
     the number of voxels.
     """
-    head = _start(path)
-    size = struct.unpack_from("<3i", head, 44)
-    extent = np.array(struct.unpack_from("<3i", head, 56), dtype=float) * 1e-3
-    (blocks,) = struct.unpack_from("<i", head, 508)
-    if not head.startswith(b"CTDATA-HEADER_V1") or blocks < 0:
-        raise wrong_header(path, "ISQ file", f"a file that begins with {head[:8]!r}, data at block {blocks}")
-    header = _raw(path, size, "<i2", (blocks + 1) * _BLOCK)
-    header.spacing_mm = extent / np.array(size)
-    return header
+    head = np.frombuffer(_start(path), _ISQ, 1)[0]
+    size, blocks = head["size"].tolist(), int(head["blocks"])
+    if head["magic"] != b"CTDATA-HEADER_V1" or blocks < 0:
+        got = f"a file that begins with {head['magic'][:8]!r}, data at block {blocks}"
+        raise wrong_file("ISQ file", got)
+    stored = Stored(tuple(reversed(size)), np.dtype("<i2"), Stream(path, (blocks + 1) * _ISQ_BLOCK))
+    stored.spacing_mm = head["extent_um"] * 1e-3 / np.array(size)
+    return stored
 
 
-def open_aim(path: Path) -> Header:
+def open_aim(path: Path) -> Stored:
     """Open a Scanco AIM volume of version 020 or 030; its place in the original scan gives the origin.
-
-    Raises
-    ------
-    StapeskitError
-        Not such a file, truncated, packed, or of a data type that is no grey value.
 
     Notes
     -----
-    The voxel size is in mm as VAX F floats, whose halves are swapped, in version 020 and in whole nanometres
-    in version 030.
+    The voxel size is in mm as VAX F floats, whose halves are swapped and which are four times the IEEE number
+    of the same bits, in version 020, and in whole nanometres in version 030.
     """
-    head = _start(path)
-    newer = head.startswith(b"AIMDATA_V030")
-    begin, word, at_kind = (16, "q", 12) if newer else (0, "i", 20)
-    pre, image, log_bytes = struct.unpack_from(f"<3{word}", head, begin)
-    known = (pre, image >= 204) == (40, True) if newer else (pre, image) == (20, 140)
-    at = begin + pre
-    log, data = at + image, at + image + log_bytes
-    if not known or not log <= data <= path.stat().st_size:
-        raise wrong_header(path, "AIM file", f"blocks of {pre}, {image} and {log_bytes} bytes")
-    kind, *values = struct.unpack_from(f"<i6{word}", head, at + at_kind)
-    place = at + at_kind + 4 + 21 * struct.calcsize(f"<{word}")
-    if newer:
-        cell = np.array(struct.unpack_from("<3q", head, place), dtype=float) * 1e-6
-    else:
-        halves = np.frombuffer(head, "<u2", 6, place).reshape(
-            3, 2
-        )  # four times the IEEE number of the same bits
-        cell = halves[:, ::-1].copy().view("<f4")[:, 0].astype(float) / 4.0
+    content = _start(path)
+    newer = content.startswith(b"AIMDATA_V030")
+    layout, begin = (_AIM_030, 16) if newer else (_AIM_020, 0)
+    head = np.frombuffer(content, layout, 1)[0]
+    first, second, log_bytes = head["blocks"].tolist()
+    log = begin + first + second
+    known = first == 40 and second >= 204 if newer else (first, second) == (20, 140)
+    if not known or not 0 <= log_bytes <= path.stat().st_size - log:
+        raise wrong_file("AIM file", f"blocks of {first}, {second} and {log_bytes} bytes")
+    kind, cell = int(head["kind"]), head["cell"]
     if kind not in _AIM_TYPES:
-        wanted = "8-bit, 16-bit, 32-bit or float voxels, not packed"
-        step = "Export it unpacked, or as ISQ or MHA"
-        raise StapeskitError.of("the AIM data", wanted, f"type {kind:#x}", path.name, step)
-    header = _raw(path, values[3:], _AIM_TYPES[kind], data)
-    header.spacing_mm, header.origin_mm = cell, np.nan_to_num(np.array(values[:3], dtype=float) * cell)
-    _note_aim_density(header, head[log:data].decode("latin-1"), path.name)
-    return header
+        wanted, step = (
+            "8-bit, 16-bit, 32-bit or float voxels, not packed",
+            "Export it unpacked, as ISQ or MHA",
+        )
+        raise StapeskitError.of("the AIM data", wanted, f"type {kind:#x}", next_step=step)
+    size, stream = head["size"].tolist(), Stream(path, log + log_bytes)
+    stored = Stored(tuple(reversed(size)), np.dtype(_AIM_TYPES[kind]), stream)
+    if newer:
+        stored.spacing_mm = cell * 1e-6
+    else:
+        stored.spacing_mm = cell[:, ::-1].copy().view("<f4")[:, 0].astype(float) / 4.0
+    stored.origin_mm = np.nan_to_num(head["place"] * stored.spacing_mm)
+    _note_density(stored, content[log : log + log_bytes].decode("latin-1"), path.name)
+    return stored
 
 
-def _note_aim_density(header: Header, log: str, name: str) -> None:
+def _note_density(stored: Stored, log: str, name: str) -> None:
     """Report the line from grey value to density in the processing log, as points for a calibration file."""
     entries = {
         key.strip(): value.strip() for key, _, value in (line.partition("  ") for line in log.splitlines())
@@ -111,7 +109,7 @@ def _note_aim_density(header: Header, log: str, name: str) -> None:
         return
     if not (scaling > 0.0 and slope > 0.0 and np.isfinite(slope * scaling + intercept)):
         return
-    header.note(
+    stored.note(
         f"{name} has the line density = {slope:.6g} * grey value / {scaling:.6g} + {intercept:.6g} "
         f"{entries.get('Density: unit') or 'mg HA/ccm'}. For a density of every voxel write "
         f"points_mg_ha_cm3 = [[0, {intercept:.6g}], [{2.0 * scaling:.0f}, {2.0 * slope + intercept:.6g}]] "
@@ -119,13 +117,8 @@ def _note_aim_density(header: Header, log: str, name: str) -> None:
     )
 
 
-def open_vgi(path: Path) -> Header:
+def open_vgi(path: Path) -> Stored:
     """Open the volume that a VGStudio header describes.
-
-    Raises
-    ------
-    StapeskitError
-        A key is missing, the voxels are packed or in several files, or the file is missing or too short.
 
     Notes
     -----
@@ -138,30 +131,30 @@ def open_vgi(path: Path) -> Header:
         sections = _vgi_sections(head.decode("utf-8"))
     except UnicodeDecodeError:  # of Windows, where the unit may be µm
         sections = _vgi_sections(head.decode("latin-1"))
-    stored = [name for name in sections if re.fullmatch(r"file\d{0,9}", name)]
-    part = sections.get("representation", {}) | sections[stored[0]]
-    if len(stored) > 1 or part.get("fileformat", "raw").lower() != "raw":
-        got = f"{len(stored)} files of format {part.get('fileformat', 'raw')}"
+    files = [name for name in sections if re.fullmatch(r"file\d{0,9}", name)]
+    part, geometry = sections.get("representation", {}) | sections[files[0]], sections.get("geometry", {})
+    if len(files) > 1 or part.get("fileformat", "raw").lower() != "raw":
+        got = f"{len(files)} files of format {part.get('fileformat', 'raw')}"
         step = "Export the volume as one raw file, unsigned integer or float"
-        raise StapeskitError.of("the voxels", "in one raw file", got, path.name, step)
-    named = part.get("name") or path.with_suffix(".vol").name
+        raise StapeskitError.of("the voxels", "in one raw file", got, next_step=step)
     order = ">" if part.get("byteorder", "").lower().startswith("big") else "<"
-    kind = f"{order}{_VGI_KINDS[part['datatype'].lower()]}{int(part['bitsperelement']) // 8}"
+    dtype = np.dtype(f"{order}{_VGI_KINDS[part['datatype'].lower()]}{int(part['bitsperelement']) // 8}")
+    data = beside(path, part.get("name") or path.with_suffix(".vol").name)
     size = [int(word) for word in part["size"].split()]
-    header = _raw(path, size, kind, int(part.get("skipheader", "0")), beside(path, named))
-    geometry = sections.get("geometry", {})
+    stream = Stream(data, int(part.get("skipheader", "0")), exact=True)
+    stored = Stored(tuple(reversed(size)), dtype, stream)
     unit = mm_per_unit(geometry.get("unit"))
     if unit is not None and "resolution" in geometry:
         steps = (geometry["resolution"].split(), geometry.get("scale", "1 1 1").split())
-        header.spacing_mm = unit * np.prod(np.array(steps, dtype=float), axis=0)
-    mirrored = sections.get("representation", {}).get("mirror", "0")
+        stored.spacing_mm = unit * np.prod(np.array(steps, dtype=float), axis=0)
+    mirrored = part.get("mirror", "0")
     if any(float(word) for word in mirrored.split()):
-        text = (
+        stored.note(
             f"{path.name} is shown mirrored in VGStudio (mirror = {mirrored}); its voxels were read as they "
-            "are stored. Use --mirror if the ear is a mirror image."
+            "are stored. Use --mirror if the ear is a mirror image.",
+            "handedness_unconfirmed",
         )
-        header.notices.append(Notice("handedness_unconfirmed", text))
-    return header
+    return stored
 
 
 def _vgi_sections(text: str) -> dict[str, dict[str, str]]:
@@ -175,81 +168,52 @@ def _vgi_sections(text: str) -> dict[str, dict[str, str]]:
     return sections
 
 
-def open_amira(path: Path) -> Header:
+def open_amira(path: Path) -> Stored:
     """Open an Avizo or Amira lattice of binary voxels with its bounding box.
-
-    Raises
-    ------
-    StapeskitError
-        Not such a file, text or packed voxels, or another lattice than a uniform one.
 
     Notes
     -----
     The bounding box joins the centres of the outer voxels. ``Units`` gives its unit; without it the spacing
-    must be given.
+    must be given. The number of a label is the place of its material, from 0.
     """
     head = _start(path)
-    first = head.split(b"\n", 1)[0].decode("latin-1")
+    first = head.split(b"\n", 1)[0].decode("latin-1").upper()
     end = re.search(rb"^@1[ \t]*\r?\n", head, re.MULTILINE)
-    if not ("AmiraMesh" in first or "Avizo" in first) or end is None:
-        raise wrong_header(path, "Amira lattice", "a file that does not begin as one")
-    text = head[: end.start()].decode("utf-8", "replace")
+    text = head[: end.start() if end else 0].decode("utf-8", "replace")
     lattice = re.search(r"define\s+Lattice\s+(\d{1,9})\s+(\d{1,9})\s+(\d{1,9})\b", text)
-    if lattice is None or re.search(r'CoordType\s+"(?!uniform)', text):
-        raise wrong_header(path, "Amira lattice", "a lattice that is not a uniform one in three dimensions")
+    if end is None or lattice is None or re.search(r'CoordType\s+"(?!uniform)', text):
+        raise wrong_file("Amira lattice", "a file without a uniform lattice in three dimensions")
     field = re.search(r"Lattice\s*\{\s*(\w+)(\[\d+\])?\s+\w+\s*\}\s*=?\s*@1\b(?:\((\w+))?", text)
     if field is None or field[1] not in _AMIRA_TYPES or field[2] not in (None, "[1]"):
-        raise several_values(path, field[0] if field else "no lattice")
-    if field[3] or "ASCII" in first.upper():
-        got, step = field[3] or "text", "Save it as AmiraMesh binary, without compression"
-        raise StapeskitError.of("the lattice", "of binary voxels that are not packed", got, path.name, step)
-    order = "<" if "LITTLE" in first.upper() else ">"
+        raise several_values(field[0] if field else "no lattice")
+    if field[3] or "ASCII" in first:
+        wanted, step = "of binary voxels that are not packed", "Save it as AmiraMesh binary, not compressed"
+        raise StapeskitError.of("the lattice", wanted, field[3] or "text", next_step=step)
     size = [int(word) for word in lattice.groups()]
-    header = _raw(path, size, order + _AMIRA_TYPES[field[1]], end.end())
-    header.names = _materials(text)
+    dtype = np.dtype(("<" if "LITTLE" in first else ">") + _AMIRA_TYPES[field[1]])
+    stored = Stored(tuple(reversed(size)), dtype, Stream(path, end.end()))
+    materials = re.search(r"\bMaterials\s*\{((?:[^{}]*\{[^{}]*\})*)", text)
+    names = re.findall(r'("[^"]*"|[\w.-]+)\s*\{[^{}]*\}', materials[1] if materials else "")
+    stored.names = {number: name.strip('"') for number, name in enumerate(names)}
     moved = re.search(r"TransformationMatrix([-+0-9.eE\s]+)", text)
     if moved and not np.array_equal(np.array(moved[1].split(), dtype=float), np.eye(4).ravel()):
-        header.note(
+        stored.note(
             f"{path.name} is moved by a TransformationMatrix in Avizo or Amira. It was not applied: scan "
             f"coordinates, landmarks and --anterior are those of the lattice. Give its scale by --spacing."
         )
-    header.known = "the lattice has no unit of length"
+    stored.known = "the lattice has no unit of length"
     box = re.search(r"BoundingBox\s+([-+0-9.eE ]+)", text)
-    if box is None:
-        return header
-    unit = re.search(r"Coordinates\s+\"([^\"]+)\"", text)
-    factor = mm_per_unit(unit[1]) if unit else None
-    ends = np.array([float(word) for word in box[1].split()]).reshape(3, 2)
-    steps = (ends[:, 1] - ends[:, 0]) / (np.array(size) - 1)
-    if factor is None:
-        header.known += f"; its voxels are {steps[0]:.6g} x {steps[1]:.6g} x {steps[2]:.6g}"
-    else:
-        header.spacing_mm, header.origin_mm = steps * factor, ends[:, 0] * factor
-    return header
-
-
-def _materials(text: str) -> dict[int, str]:
-    """Return the names of labels: the number of a label is the place of its material, from 0."""
-    begin = re.search(r"\bMaterials\s*\{", text)
-    names: list[str] = []
-    depth = 1
-    for mark in re.finditer(_BRACKET, text[begin.end() :] if begin else ""):
-        if mark[2] == "{" and depth == 1:
-            names.append((mark[1] or "").strip('"'))
-        depth += 1 if mark[2] == "{" else -1
-        if depth == 0:
-            break
-    return dict(enumerate(names))
+    if box is not None:
+        ends = np.array(box[1].split(), dtype=float).reshape(3, 2)
+        steps = (ends[:, 1] - ends[:, 0]) / (np.array(size) - 1)
+        unit = re.search(r"Coordinates\s+\"([^\"]+)\"", text)
+        factor = mm_per_unit(unit[1]) if unit else None
+        stored.known += f"; its voxels are {steps[0]:.6g} x {steps[1]:.6g} x {steps[2]:.6g}"
+        if factor is not None:
+            stored.spacing_mm, stored.origin_mm = steps * factor, ends[:, 0] * factor
+    return stored
 
 
 def _start(path: Path) -> bytes:
     with path.open("rb") as stream:
         return stream.read(HEADER_BYTES)
-
-
-def _raw(path: Path, size: Sequence[int], kind: str, start: int, file: Path | None = None) -> Header:
-    """Return a volume of x, y, z voxels behind a header in the same file, or in another one."""
-    header = Header(tuple(reversed(size)), np.dtype(kind))
-    check_grey_values(header.shape, header.dtype, path.name)
-    header.set_planes(file or path, start, path, exact=file is not None)
-    return header

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.scan.header import Header, by_planes
 from ct_inertia.scan.place import mm_per_unit
+from ct_inertia.scan.stored import Stored, by_planes, native
 from ct_inertia.scan.tiff import listening, read_page_tags
 from stapeskit.faults import StapeskitError, list_some
-from stapeskit.warnings import Notice
 
 SLICE_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
 
@@ -27,31 +26,25 @@ _LOGGED = {
     "rows": r"Result Image Height \(pixels\)",
     "columns": r"Result Image Width \(pixels\)",
 }
+_APART = "Put the slices of one scan into a folder of their own"
 
 
-def open_slices(folder: Path) -> Header:
-    """Open a folder of slices; slice k is the k-th in the order of the number that differs in their names.
-
-    Raises
-    ------
-    StapeskitError
-        No slices, several series, a slice of another size or type, or a damaged slice.
-    """
+def open_slices(folder: Path) -> Stored:
+    """Open a folder of slices; slice k is the k-th in the order of the number that differs in their names."""
     files, numbers, others = _series(folder)
     first = _pixels(files[0])
-    header = Header((len(files), *first.shape), first.dtype)
+    stored = Stored((len(files), *first.shape), first.dtype)
     if others:
-        header.note(f"{others} other image files in {folder.name} are not part of the series: left out.")
-    _note_gaps(header, numbers, folder.name)
+        stored.note(f"{others} other image files in {folder.name} are not part of the series: left out.")
+    _note_gaps(stored, numbers, folder.name)
     logs = sorted(folder.glob("*.log"))
     if files[0].suffix.lower() in _TIFF:
         import tifffile
 
         with listening(files[0]), tifffile.TiffFile(files[0]) as tif:
-            read_page_tags(header, tif.pages[0], files[0])
-    if logs or not header.known:
-        header.spacing_mm = None
-        _read_logs(header, logs)
+            read_page_tags(stored, tif.pages[0])
+    if logs or not stored.known:
+        _read_logs(stored, logs)
 
     def decode(file: Path) -> NDArray[Any]:
         image = _pixels(file)
@@ -61,8 +54,8 @@ def open_slices(folder: Path) -> Header:
             raise StapeskitError.of(f"slice {file.name}", wanted, look, next_step=step)
         return image
 
-    header.read = by_planes(files, decode)
-    return header
+    stored.voxels = by_planes(files, decode)
+    return stored
 
 
 def _series(folder: Path) -> tuple[list[Path], list[int], int]:
@@ -80,20 +73,17 @@ def _series(folder: Path) -> tuple[list[Path], list[int], int]:
     ]
     series = _numbered(images)
     ranked = sorted(series, key=lambda name: (-len(series[name]), name))
-    step = "Put the slices of one scan into a folder of their own"
     if not ranked or len(series[ranked[0]]) < 2:
         wanted = "a series of numbered slices (TIFF, PNG, BMP, JPEG) or a DICOM series"
-        raise StapeskitError.of("the folder", wanted, f"{len(images)} image files", folder.name, step)
+        raise StapeskitError.of("the folder", wanted, f"{len(images)} image files", next_step=_APART)
     if len(ranked) > 1 and len(series[ranked[1]]) >= max(2, _RIVAL * len(series[ranked[0]])):
         listed = ", ".join(f"{name} ({len(series[name])} slices)" for name in ranked[:4])
-        raise StapeskitError.of("the folder", "one series of numbered slices", listed, folder.name, step)
+        raise StapeskitError.of("the folder", "one series of numbered slices", listed, next_step=_APART)
     chosen = sorted(series[ranked[0]])
     numbers = [number for number, _ in chosen]
     doubled = [number for number, count in Counter(numbers).items() if count > 1]
     if doubled:
-        raise StapeskitError.of(
-            "the slice numbers", "unique", f"number {doubled[0]} twice", folder.name, step
-        )
+        raise StapeskitError.of("the slice numbers", "unique", f"number {doubled[0]} twice", next_step=_APART)
     return [path for _, path in chosen], numbers, len(images) - len(chosen)
 
 
@@ -118,7 +108,7 @@ def _numbered(images: Sequence[Path]) -> dict[str, list[tuple[int, Path]]]:
     return series
 
 
-def _note_gaps(header: Header, numbers: list[int], name: str) -> None:
+def _note_gaps(stored: Stored, numbers: list[int], name: str) -> None:
     step = Counter(np.diff(numbers).tolist()).most_common(1)[0][0]
     missing = sorted(set(range(numbers[0], numbers[-1] + 1, step)) - set(numbers))
     if missing:
@@ -126,15 +116,15 @@ def _note_gaps(header: Header, numbers: list[int], name: str) -> None:
             f"{len(missing)} slices are missing in {name} (number {list_some(map(str, missing), 5)}): the "
             f"slices around each gap are taken as neighbours, which shortens the body there."
         )
-        header.notices.append(Notice("slices_missing", text))
+        stored.note(text, "slices_missing")
     elif step > 1:
-        header.note(
+        stored.note(
             f"The slices in {name} are numbered in steps of {step}: where the others were left out, the "
             f"distance of slices is {step} times that of the scan."
         )
 
 
-def _read_logs(header: Header, logs: Sequence[Path]) -> None:
+def _read_logs(stored: Stored, logs: Sequence[Path]) -> None:
     """Set the spacing of the reconstruction log among these, or say why none counts.
 
     The section ``[Reconstruction]`` counts: the pixel size of the acquisition is that of the projections, and
@@ -145,29 +135,28 @@ def _read_logs(header: Header, logs: Sequence[Path]) -> None:
     for log in logs:
         before, _, after = log.read_text(encoding="latin-1").partition("[Reconstruction]")
         size, projected = _pixel_mm(after), _pixel_mm(before)
-        stated = {name: _number(after, key) for name, key in _LOGGED.items()}
-        other = [
-            f"{held} {name}, not the {stated[name]:g} of {log.name}"
-            for name, held in zip(_LOGGED, header.shape, strict=True)
-            if stated[name] not in (None, held)
-        ]
+        stated = [_number(after, key) for key in _LOGGED.values()]
+        other = ", ".join(
+            f"{held} {name}, not the {count:g} of {log.name}"
+            for name, held, count in zip(_LOGGED, stored.shape, stated, strict=True)
+            if count not in (None, held)
+        )
         if size is not None and other:
-            other_slices = f"the slices were cropped, scaled or come from another scan: {', '.join(other)}"
+            other_slices = f"the slices were cropped, scaled or come from another scan: {other}"
         elif size is not None:
-            step = max(1.0, _number(after, "Section to Section Step") or 1.0)
-            sizes.setdefault((size, step), log.name)
+            sizes.setdefault((size, max(1.0, _number(after, "Section to Section Step") or 1.0)), log.name)
         elif projected is not None:
             acquired = (
                 f"{log.name} is the log of the acquisition, whose {1e3 * projected:.6g} um are the "
                 f"pixel size of the projections; nothing says at which size the slices were reconstructed"
             )
-    header.known = other_slices or acquired or "slice images do not have it"
+    stored.spacing_mm = None
+    stored.known = other_slices or acquired or "slice images do not have it"
     if len(sizes) > 1:
         listed = ", ".join(f"{name} {1e3 * size:.6g} um" for (size, _), name in sizes.items())
-        header.known = f"the reconstruction logs disagree ({listed})"
-    elif sizes:
-        ((size, step),) = sizes
-        header.spacing_mm = np.array([size, size, size * step])
+        stored.known = f"the reconstruction logs disagree ({listed})"
+    for size, step in sizes if len(sizes) == 1 else ():
+        stored.spacing_mm = np.array([size, size, size * step])
 
 
 def _number(text: str, key: str) -> float | None:
@@ -205,10 +194,10 @@ def _pixels(path: Path) -> NDArray[Any]:
         raise StapeskitError.of("the slice", "a readable image", got, path.name, step) from fault
     if image.ndim == 3 and image.shape[-1] in (2, 3, 4):
         if image.shape[-1] > 2 and np.any(image[..., 1:3] != image[..., :1]):
-            got, step = "a colour (RGB) image", "Export grey values"
-            raise StapeskitError.of(f"slice {path.name}", "grey values", got, next_step=step)
+            step = "Export grey values"
+            raise StapeskitError.of(f"slice {path.name}", "grey values", "a colour image", next_step=step)
         image = np.ascontiguousarray(image[..., 0])
     if image.ndim != 2:
         got, step = f"shape {' x '.join(map(str, image.shape))}", "Give a stack as a file, not in a folder"
         raise StapeskitError.of(f"slice {path.name}", "one two-dimensional image", got, next_step=step)
-    return image.astype(np.uint8 if image.dtype.kind == "b" else image.dtype.newbyteorder("="), copy=False)
+    return native(image)

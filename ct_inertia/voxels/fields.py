@@ -12,7 +12,7 @@ from stapeskit.arrays import Array
 Grey = NDArray[np.float32]
 
 _TRUNCATE = 4.3  # widths of the blur beyond which 2e-5 of it lies
-_PRODUCT = 1 << 18  # multiplications of one matrix product up to which BLAS does not start threads
+_ROWS = 16  # of a band matrix that are multiplied at a time: narrow bands, and BLAS starts no threads
 _LEAST_COARSE = 1.0  # voxels: cells of two voxels smooth by 0.96 themselves
 _STEEP = 1e-3  # least slope of a field per voxel: below, a voxel is wholly above or below a level
 
@@ -136,9 +136,8 @@ def _apply(field: Grey, bands: list[Band]) -> Grey:
         result = np.empty(shape, dtype=np.float32)
         # Products of single planes: they fit the processor's cache.
         source, out = (field, result) if axis else (field.transpose(1, 0, 2), result.transpose(1, 0, 2))
-        rows = _rows(int(np.max(last - first)), field.shape[1 if axis == 2 else 2])
-        for start in range(0, len(matrix), rows):
-            some = slice(start, min(start + rows, len(matrix)))
+        for start in range(0, len(matrix), _ROWS):
+            some = slice(start, min(start + _ROWS, len(matrix)))
             low, high = int(first[some].min()), int(last[some].max())
             if axis < 2:
                 np.matmul(matrix[some, low:high], source[:, low:high], out=out[:, some])
@@ -146,11 +145,6 @@ def _apply(field: Grey, bands: list[Band]) -> Grey:
                 np.matmul(source[..., low:high], transposed[low:high, some], out=out[..., some])
         field = result
     return field
-
-
-def _rows(band: int, across: int) -> int:
-    """Return how many rows of a band matrix are multiplied at a time."""
-    return next((rows for rows in (48, 32, 24, 16) if rows * (rows + band) * across <= _PRODUCT), 8)
 
 
 def _banded(matrix: Array) -> Band:

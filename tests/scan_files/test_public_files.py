@@ -43,7 +43,7 @@ SCANS: dict[tuple[str, str], tuple[int, ...] | str] = {
     ("nibabel", "minc2_4d.mnc"): "the scan",
     ("nibabel", "scaled+tlrc.BRIK"): "the scan",
     ("nibabel", "tinypet.v"): "the scan",
-    ("pydicom", "rtdose.dcm"): "the voxel spacing",
+    ("pydicom", "rtdose.dcm"): "the slices",  # one position for all
     ("pydicom", "rtplan.dcm"): SINGLE,  # a plan, without an image
     ("pydicom", "CT_small.dcm"): SINGLE,
     ("pydicom", "MR_small_RLE.dcm"): SINGLE,

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from ct_inertia.scan.raw import plane_reader
-from ct_inertia.scan.reduced import block_means
-from ct_inertia.scan.scan import Scan
+from ct_inertia.scan.scan import Scan, block_means
 from stapeskit.faults import StapeskitError
 
 RNG = np.random.default_rng(3)

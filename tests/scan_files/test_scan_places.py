@@ -225,13 +225,12 @@ def test_an_incomplete_spacing_is_asked_for_with_what_is_known(tmp_path, name):
     assert open_scan(path, SPACING).spacing_mm == pytest.approx(SPACING)
 
 
-def test_imagej_zero_and_negative_slice_distance(tmp_path):
-    stated = {"spacing": -SPACING[2], "xorigin": 2.0, "zorigin": -3.0}
+def test_imagej_zero_is_the_origin_and_a_negative_slice_distance_is_asked_about(tmp_path):
+    stated = {"xorigin": 2.0, "zorigin": -3.0}
     scan = open_scan(w.imagej(tmp_path / "a.tif", picture(), metadata=stated))
     assert scan.origin_mm == pytest.approx([-2.0 * SPACING[0], 0.0, 3.0 * SPACING[2]])
-    assert scan.spacing_mm == pytest.approx(SPACING)
-    (text,) = read_as(scan)
-    assert "--mirror z" in text
+    fault = refused(w.imagej(tmp_path / "b.tif", picture(), metadata={"spacing": -SPACING[2]}))
+    assert fault.thing == "the voxel spacing"
 
 
 def test_ome_positions_give_the_origin_and_a_missing_slice_distance(tmp_path):

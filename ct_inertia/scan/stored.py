@@ -1,4 +1,9 @@
-"""What a file says about a scan, the size check of raw voxels, and faults that formats share."""
+"""A scan as its file describes it, and what the readers of all formats share.
+
+Every reader takes a path and returns `Stored`, and raises `StapeskitError` for a file that is no scan. A
+header that makes no sense may raise anything: `open_scan` makes one sentence of it, and adds the name of the
+file to faults without a place.
+"""
 
 from __future__ import annotations
 
@@ -19,20 +24,46 @@ HEADER_BYTES = 1 << 20
 """Most bytes of a text header or log, which has some kilobytes."""
 
 
+@dataclass(frozen=True)
+class Stream:
+    """Voxels one behind the other in a file, x fastest.
+
+    Attributes
+    ----------
+    file : Path
+    start : int
+        Byte at which they begin, or the packed stream that holds them.
+    skip : int
+        Bytes before them, in a packed stream after unpacking; -1: they are the last bytes.
+    packed : bool
+        The stream is packed by gzip, zlib or bzip2.
+    exact : bool
+        Nothing else may follow: in a file of its own no byte, behind a header less than a slice. More says
+        that the header counts fewer voxels, or that another header comes before them.
+    """
+
+    file: Path
+    start: int
+    skip: int = 0
+    packed: bool = False
+    exact: bool = False
+
+
 @dataclass
-class Header:
+class Stored:
     """A scan as its file describes it, before the rules of `place` are applied.
 
     What is not listed is as in `Scan`.
 
     Attributes
     ----------
+    shape : tuple of int
+        As in `Scan`; leading ones are left out.
     dtype : dtype
         Of a stored voxel, with its byte order.
-    planes : sequence of (Path, int), or None
-        File and byte of each plane of voxels that lie there as they are; otherwise ``read`` decodes them.
-    read : callable or None
-        Decodes a box; stays in the child process in which a library has opened the file.
+    voxels : Stream, sequence of (Path, int), callable or None
+        Where they are: in a stream; in planes that each begin at a byte of a file; otherwise the function
+        decodes a box in the child process that has opened the file.
     depth : int
         Planes that are decoded together.
     spacing_mm : ndarray, (3,), or None
@@ -55,8 +86,7 @@ class Header:
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
-    planes: Sequence[tuple[Path, int]] | None = None
-    read: Fetch | None = None
+    voxels: Stream | Sequence[tuple[Path, int]] | Fetch | None = None
     depth: int = 1
     spacing_mm: Array | None = None
     origin_mm: Array = field(default_factory=lambda: np.zeros(3))
@@ -70,53 +100,14 @@ class Header:
     names: dict[int, str] = field(default_factory=dict)
     files: tuple[Path, ...] = ()
 
-    def note(self, text: str) -> None:
-        """Add how the file was read."""
-        self.notices.append(Notice("file_read", text))
+    @property
+    def is_scaled(self) -> bool:
+        """Whether slope and intercept change anything; grey values are float32 then."""
+        return (self.slope, self.intercept) != (1.0, 0.0)
 
-    def set_planes(self, file: Path, start: int, header: Path, exact: bool = False) -> None:
-        """Say that the voxels lie in a file, one plane behind the other.
-
-        Parameters
-        ----------
-        file : Path
-        start : int
-            Byte of the first voxel; -1: the voxels are the last bytes.
-        header : Path
-            File of the header, which may be the same.
-        exact : bool
-            Refuse a separate file with more bytes, and one file of both with at least one more slice: the
-            header counts fewer voxels, or another header comes before them.
-
-        Raises
-        ------
-        StapeskitError
-            The file is missing, too short, or too long.
-        """
-        if not file.is_file():
-            raise no_data_file(file, header)
-        plane = int(self.shape[1]) * int(self.shape[2]) * self.dtype.itemsize
-        needed, stored = plane * int(self.shape[0]), file.stat().st_size
-        held = stored - max(start, 0)
-        surplus = exact and start >= 0 and held - needed >= (plane if file == header else 1)
-        if held < needed or surplus:
-            raise wrong_size(self.shape, needed, held, file)
-        first = stored - needed if start == -1 else start
-        self.planes = [(file, first + plane * k) for k in range(int(self.shape[0]))]
-        self.files = tuple(dict.fromkeys((*self.files, file)))
-
-
-def wrong_size(shape: Sequence[int], needed: int, held: int, file: Path) -> StapeskitError:
-    """Return the error for a file that holds fewer or more bytes of voxels than its header counts."""
-    size = " x ".join(str(int(n)) for n in reversed(shape))
-    step = "The file is truncated or its header is wrong: copy or export it again"
-    if held > needed:
-        step = (
-            "If the data file begins with a header of its own, let the voxels be counted from its end: "
-            "byte skip: -1 in NRRD, HeaderSize = -1 in MetaImage, SkipHeader in VGStudio"
-        )
-    wanted = f"as large as its header says ({size} voxels, {needed} bytes)"
-    return StapeskitError.of("the scan", wanted, f"{max(held, 0)} bytes of voxels", file.name, step)
+    def note(self, text: str, code: str = "file_read") -> None:
+        """Add what was turned, skipped or assumed."""
+        self.notices.append(Notice(code, text))
 
 
 def by_planes(planes: Sequence[Any], decode: Callable[[Any], NDArray[Any]]) -> Fetch:
@@ -131,10 +122,14 @@ def unpack_once(unpack: Callable[[], NDArray[Any]]) -> Fetch:
     def read(box: Box) -> NDArray[Any]:
         if not held:
             held.append(unpack())
-        values = held[0][box]
-        return values.astype(values.dtype.newbyteorder("="), copy=False)
+        return native(held[0][box])
 
     return read
+
+
+def native(values: NDArray[Any]) -> NDArray[Any]:
+    """Return values in the byte order of the machine, masks of bits as numbers."""
+    return values.astype(np.uint8 if values.dtype.kind == "b" else values.dtype.newbyteorder("="), copy=False)
 
 
 def beside(header: Path, name: str) -> Path:
@@ -152,22 +147,22 @@ def beside(header: Path, name: str) -> Path:
     stated, last = header.parent.joinpath(*parts), header.parent / parts[-1]
     file = stated if parts[0] and ".." not in parts and stated.is_file() else last
     if not file.is_file():
-        raise no_data_file(file, header)
+        raise no_data_file(file)
     return file
 
 
-def no_data_file(file: Path, header: Path) -> StapeskitError:
+def no_data_file(file: Path) -> StapeskitError:
     """Return the error for a header whose data file is missing."""
     wanted, step = "in the folder of its header", "Copy both files together"
-    return StapeskitError.of("the data file", wanted, f"no {file.name}", header.name, step)
+    return StapeskitError.of("the data file", wanted, f"no {file.name}", next_step=step)
 
 
-def wrong_header(path: Path, kind: str, got: str) -> StapeskitError:
-    """Return the error for a header with an impossible value or without a needed one."""
-    return StapeskitError.of("the scan", f"a readable {kind}", got, path.name, "Copy or export it again")
+def wrong_file(kind: str, got: str, where: str = "") -> StapeskitError:
+    """Return the error for a file with an impossible value or without a needed one."""
+    return StapeskitError.of("the scan", f"a readable {kind}", got, where, "Copy or export it again")
 
 
-def several_values(path: Path, got: str) -> StapeskitError:
+def several_values(got: str, where: str = "") -> StapeskitError:
     """Return the error for more than one number in a voxel: colours, vectors, channels, times."""
     step = "Export grey values of one channel, at one time"
-    return StapeskitError.of("the volume", "a stack of one grey value per voxel", got, path.name, step)
+    return StapeskitError.of("the volume", "a stack of one grey value per voxel", got, where, step)
