@@ -232,7 +232,6 @@ def _pixels(frame: _Frame, stored: Stored) -> NDArray[Any]:
     import SimpleITK as sitk
 
     sitk.ProcessObject.SetGlobalWarningDisplay(False)
-    values: NDArray[Any] | None = None
     try:
         values: NDArray[Any] | None = None
         if not stored.white_is_zero:
