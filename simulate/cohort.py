@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from simulate.ear import Ear
-from simulate.ligament import Ligament
 from simulate.stapes import Stapes
 from stapeskit.arrays import Array
 
@@ -79,16 +78,15 @@ def cohort(population: Population) -> Iterator[Member]:
         stretch = (float(sizes[k, 0]), float(sizes[k, 1]), float(sizes[k, 2]))
         ear = replace(population.ear, stapes=Stapes(stretch=stretch, mirrored=right))
         size = np.log(whole * np.prod(stretch) / REFERENCE_KG)  # volumes scale with their axes
-        factors = [
-            np.exp(
-                0.5 * (np.array(population.exponents) * size + scatter[k, j] + entries[k, 3 * j : 3 * j + 3])
+        powers = np.array(population.exponents) * size
+        turn = np.array([1.0, -1.0 if right else 1.0, 1.0])
+        stiff, damped = (
+            population.ear.ligament.scaled(
+                turn * np.exp(0.5 * (powers + scatter[k, j] + entries[k, 3 * j : 3 * j + 3]))
             )
             for j in (0, 1)
-        ]
-        turn = np.array([1.0, -1.0 if right else 1.0, 1.0])
-        common = population.ear.ligament
-        stiff, damped = common.scaled(factors[0] * turn), common.scaled(factors[1] * turn)
-        ligament: Ligament = replace(stiff, damping_si=damped.damping_si)
+        )
+        ligament = replace(stiff, damping_si=damped.damping_si)
         yield Member(
             name=f"ear{k + 1:02d}",
             subject=f"P{person + 1:02d}",

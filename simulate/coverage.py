@@ -30,10 +30,6 @@ class Crossings:
     weight: Array  # +1/s^2 where the column enters the body going up z, -1/s^2 where it leaves it
     shape: tuple[int, int]  # (nx, ny) of the grid
 
-    def touches(self, first: int, count: int) -> bool:
-        """Return whether the body reaches into ``count`` slices from slice ``first`` on."""
-        return len(self.layer) > 0 and bool(self.layer[0] < first + count) and bool(self.layer[-1] >= first)
-
     def slab(self, first: int, count: int) -> NDArray[np.float32]:
         """Return the filled fraction of ``count`` slices from slice ``first`` on, (z, y, x), 0 to 1."""
         nx, ny = self.shape

@@ -112,7 +112,8 @@ class Ear:
         return made
 
 
-def footplate_outline(solid: Solid, gap_mm: float) -> Array:
+@functools.lru_cache(maxsize=128)
+def footplate_outline(solid: Solid, gap_mm: float, least_mm: float = 0.01) -> Array:
     """Return the outline of the footplate in the oval window, widened on all sides, at its waist too.
 
     Parameters
@@ -125,33 +126,27 @@ def footplate_outline(solid: Solid, gap_mm: float) -> Array:
     Returns
     -------
     ndarray, (192, 2)
-        x and z, mm, at equal angles around the footplate centre.
+        x and z, mm, at equal angles around the footplate centre; not to be changed.
     """
-    return _outline(solid, float(gap_mm)).copy()
-
-
-@functools.lru_cache(maxsize=128)
-def _outline(solid: Solid, gap_mm: float, count: int = 192, least_mm: float = 0.01) -> Array:
-    angles = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    angles = np.linspace(0.0, 2.0 * np.pi, 192, endpoint=False)
     directions = np.column_stack([np.cos(angles), np.sin(angles)])
-    rim = _silhouette(solid, WINDOW_TOP_MM)
+    rim = _silhouette(solid)
     along = rim @ directions.T
     beside = rim[:, :1] * directions[:, 1] - rim[:, 1:] * directions[:, 0]
     around = max(gap_mm, least_mm)
-    reach = np.where(
-        np.abs(beside) < around, along + np.sqrt(np.maximum(around**2 - beside**2, 0.0)), -np.inf
-    ).max(axis=0)
+    half = np.sqrt(np.maximum(around**2 - beside**2, 0.0))
+    reach = np.where(np.abs(beside) < around, along + half, -np.inf).max(axis=0)
     return np.asarray(directions * (reach - (around - gap_mm))[:, None])
 
 
-def _silhouette(solid: Solid, top_mm: float, sectors: int = 20000) -> Array:
-    """Return the outermost points (n, 2) of a stapes below a height, seen along y, densely by angle."""
+def _silhouette(solid: Solid, sectors: int = 20000) -> Array:
+    """Return the outermost points (n, 2) of a stapes in the window, seen along y, densely by angle."""
     corners = solid.vertices_mm[solid.faces]
-    corners = corners[corners[:, :, 1].min(axis=1) < top_mm]
+    corners = corners[corners[:, :, 1].min(axis=1) < WINDOW_TOP_MM]
     longest = np.ptp(corners, axis=1).max()
     steps = np.linspace(0.0, 1.0, 2 + int(longest / 0.003))[:, None, None, None]
     points = (corners + steps * (np.roll(corners, -1, axis=1) - corners)).reshape(-1, 3)
-    flat = points[points[:, 1] < top_mm][:, [0, 2]]
+    flat = points[points[:, 1] < WINDOW_TOP_MM][:, [0, 2]]
     radius = np.hypot(flat[:, 0], flat[:, 1])
     sector = np.floor((np.arctan2(flat[:, 1], flat[:, 0]) / (2.0 * np.pi) + 0.5) * sectors).astype(int)
     order = np.lexsort((-radius, sector))

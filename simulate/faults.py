@@ -70,10 +70,6 @@ class TrueState:
         velocity = self.factor * (self.readings() + self.added)[:, self.order]
         return velocity.conj() if self.conjugated else velocity
 
-    def live(self) -> Array:
-        """Return 0 for channels that hold zeros only, else 1, (C, 1)."""
-        return np.asarray(np.any(self.factor != 0.0, axis=1, keepdims=True), dtype=float)
-
     def of(self, body: str = "", point: str = "", laser: int = -1) -> list[int]:
         """Return the channels of a body, point and laser; empty and -1 stand for all; ValueError for none."""
         found = [

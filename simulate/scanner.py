@@ -6,17 +6,16 @@ fringes; cupping; rings; noise; tone curve; storing. No slice depends on how a v
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.coverage import Crossings, crossings
+from simulate.coverage import crossings
 from simulate.ear import Ear, Placed, place
 from simulate.mass import relative_density
-from simulate.solids import Solid
+from simulate.solids import Solid, joined
 from stapeskit.arrays import Array
 from stapeskit.frames import rotation_from_vector
 
@@ -102,70 +101,44 @@ def _random_tilt(rng: np.random.Generator, most_deg: float) -> Array:
     return rotation_from_vector(lean) @ turn
 
 
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """One body on its own grid: first column and row in the volume, crossings, material."""
-
-    corner: tuple[int, int]
-    grid: Crossings
-    material: str
-
-
 class Renderer:
     """Grey values of a placed ear, any range of slices at a time."""
 
     def __init__(self, placed: Placed, scan: Scan) -> None:
         self.placed, self.scan = placed, scan
         self.margin = int(_TRUNCATE * scan.blur_voxels + 0.5)
-        spacing, shape = placed.voxel_mm, np.asarray(placed.shape)
-        solids = [(solid, material, _box(solid, spacing)) for solid, material in _copies(placed, scan)]
-        reach = self.margin + 1
-        low = np.min([box[0] for _, _, box in solids], axis=0) - reach
-        high = np.max([box[1] for _, _, box in solids], axis=0) + reach
+        bodies = _bodies(placed, scan)
+        corners = np.concatenate([solid.vertices_mm for solid in bodies.values()]) / placed.voxel_mm
+        reach, shape = self.margin + 1, np.asarray(placed.shape)
+        low = np.floor(corners.min(axis=0) + 0.5).astype(np.int64) - reach
+        high = np.floor(corners.max(axis=0) + 0.5).astype(np.int64) + 1 + reach
         self.low = np.clip(low, -self.margin, shape + self.margin)
         self.high = np.clip(high, self.low, shape + self.margin)
-        samples = scan.samples or int(np.clip(np.ceil(spacing[:2].max() / 0.003 - 1e-9), 2, 16))
-        parts = (self._part(*entry, samples) for entry in solids)
-        self.parts = [part for part in parts if part is not None]
-
-    def _part(
-        self, solid: Solid, material: str, box: tuple[NDArray[np.int64], NDArray[np.int64]], samples: int
-    ) -> _Part | None:
-        low, high = np.maximum(box[0], self.low)[:2], np.minimum(box[1], self.high)[:2]
-        if np.any(high <= low):
-            return None
-        shift = np.array([int(low[0]), int(low[1]), 0])
-        shape = (int(high[0] - low[0]), int(high[1] - low[1]))
-        grid = crossings(solid.vertices_mm / self.placed.voxel_mm - shift, solid.faces, shape, samples)
-        return _Part((int(low[0]), int(low[1])), grid, material)
-
-    def _filled(self, first: int, count: int, material: str) -> Floats:
-        """Return how far a material fills the box around the bodies, overlapping bodies counted once."""
-        size = self.high - self.low
-        filled = np.zeros((count, size[1], size[0]), dtype=np.float32)
-        share = np.float32(0.5 if self.scan.jump_voxels else 1.0)
-        for part in self.parts:
-            if part.material != material or not part.grid.touches(first, count):
-                continue
-            x, y = part.corner[0] - self.low[0], part.corner[1] - self.low[1]
-            nx, ny = part.grid.shape
-            filled[:, y : y + ny, x : x + nx] += share * part.grid.slab(first, count)
-        return np.minimum(filled, 1.0, out=filled)
+        samples = scan.samples or int(np.clip(np.ceil(placed.voxel_mm[:2].max() / 0.003 - 1e-9), 2, 16))
+        corner, (nx, ny, _) = np.array([self.low[0], self.low[1], 0]), self.high - self.low
+        self.grids = {
+            material: crossings(solid.vertices_mm / placed.voxel_mm - corner, solid.faces, (nx, ny), samples)
+            for material, solid in bodies.items()
+        }
 
     def coverage(self, first: int, count: int) -> Floats:
-        """Return bone, and what else fills voxels in its contrast, of the box around all; not blurred."""
+        """Return what fills each voxel of the box around all, in its contrast, not blurred.
+
+        Overlapping bodies of one material count once; plastic and soft tissue fill what bone leaves free.
+        """
         air, plastic, bone = self.scan.levels
-        grey = self._filled(first, count, "bone")
-        free = 1.0 - grey
-        if self.placed.ear.density_gradient:
-            grey *= self._relative_density(first, count)
-        contrasts = {"plastic": (plastic - air) / (bone - air), "soft": self.scan.soft}
-        for material, contrast in contrasts.items():
-            if any(part.material == material for part in self.parts):
-                other = np.minimum(self._filled(first, count, material), free)
-                free -= other
-                other *= np.float32(contrast)
-                grey += other
+        nx, ny, _ = self.high - self.low
+        grey, free = np.zeros((count, ny, nx), dtype=np.float32), np.ones((count, ny, nx), dtype=np.float32)
+        contrasts = {"bone": 1.0, "plastic": (plastic - air) / (bone - air), "soft": self.scan.soft}
+        for material in (name for name in contrasts if name in self.grids):
+            share = self.grids[material].slab(first, count)
+            if self.scan.jump_voxels:
+                share *= np.float32(0.5)
+            np.minimum(share, free, out=share)
+            free -= share
+            if material == "bone" and self.placed.ear.density_gradient:
+                share *= self._relative_density(first, count)
+            grey += np.float32(contrasts[material]) * share
         return grey
 
     def contrast(self, first: int, count: int) -> Floats:
@@ -216,7 +189,9 @@ class Renderer:
         air, _, bone = scan.levels
         grey = self.contrast(first, count)
         if scan.cupping:
-            cup(grey, scan.cupping)
+            # beam hardening as a scanner's correction leaves it: a parabola that vanishes at the border
+            share = np.minimum(_radius2(grey.shape), 1.0)
+            grey *= (1.0 - scan.cupping * (1.0 - share)).astype(np.float32)
         if scan.rings:
             grey += _rings(grey.shape, scan)
         if scan.noise > 0.0:
@@ -247,22 +222,15 @@ class Renderer:
         return grey.astype(scan.dtype)
 
 
-def _copies(placed: Placed, scan: Scan) -> Iterator[tuple[Solid, str]]:
-    """Yield the bodies; both places of each when the ear moves half way through the scan."""
+def _bodies(placed: Placed, scan: Scan) -> dict[str, Solid]:
+    """Return all bodies of each material, in both places when the ear moves half way through the scan."""
     step = np.random.default_rng([scan.seed, 29]).normal(size=3)
     step *= 0.5 * scan.jump_voxels / np.linalg.norm(step) * placed.voxel_mm
+    found = dict[str, list[Solid]]()
     for solid, material in placed.solids:
-        if scan.jump_voxels:
-            yield Solid(solid.vertices_mm - step, solid.faces), material
-            yield Solid(solid.vertices_mm + step, solid.faces), material
-        else:
-            yield solid, material
-
-
-def _box(solid: Solid, spacing: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the first voxel of a body and the one after its last."""
-    low = np.floor(solid.vertices_mm.min(axis=0) / spacing + 0.5).astype(np.int64)
-    return low, np.floor(solid.vertices_mm.max(axis=0) / spacing + 0.5).astype(np.int64) + 1
+        for way in (-1.0, 1.0) if scan.jump_voxels else (0.0,):
+            found.setdefault(material, []).append(Solid(solid.vertices_mm + way * step, solid.faces))
+    return {material: joined(*solids) for material, solids in found.items()}
 
 
 def _radius2(shape: tuple[int, ...]) -> Array:
@@ -270,14 +238,6 @@ def _radius2(shape: tuple[int, ...]) -> Array:
     _, ny, nx = shape
     x, y = ((np.arange(n) - 0.5 * (n - 1)) / (0.5 * n) for n in (nx, ny))
     return np.asarray(x[None, :] ** 2 + y[:, None] ** 2)
-
-
-def cup(grey: Floats, cupping: float) -> None:
-    """Reduce the contrast of a slab (z, y, x) towards the rotation axis by a share, in place.
-
-    Beam hardening as it is left after a scanner's own correction: a parabola that vanishes at the border.
-    """
-    grey *= (1.0 - cupping * (1.0 - np.minimum(_radius2(grey.shape), 1.0))).astype(np.float32)
 
 
 def _rings(shape: tuple[int, ...], scan: Scan) -> Floats:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from simulate.footplate import footplate_frame
-from simulate.foreign import FAMILIES, Anatomy, anatomy_field, draw_anatomy
+from simulate.foreign import FAMILIES, anatomy_field, draw_anatomy
 from simulate.solids import Solid, outward, solid_of_field
 from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
@@ -153,13 +153,8 @@ def _gutter(points: Array, wall: float = 0.08, radius: float = 0.26) -> Array:
 
 def _foreign(stapes: Stapes) -> Solid:
     anatomy = draw_anatomy(stapes.family.removeprefix("foreign "), np.random.default_rng([stapes.seed, 19]))
-    return foreign_solid(anatomy, stapes.step_mm)
-
-
-def foreign_solid(anatomy: Anatomy, step_mm: float = 0.04) -> Solid:
-    """Return the mesh of a foreign anatomy in its body axes, mm; its frame is that of `footplate_frame`."""
     low, high = (-2.1, -0.6, -1.25), (2.1, 4.5, 1.25)
-    return solid_of_field(lambda points: anatomy_field(anatomy, points), low, high, step_mm)
+    return solid_of_field(lambda points: anatomy_field(anatomy, points), low, high, stapes.step_mm)
 
 
 STAPES: dict[str, Callable[[Stapes], Solid]] = {

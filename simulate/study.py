@@ -64,20 +64,10 @@ class Truth:
         return self.mass.matrix()
 
     @property
-    def moving_mass_matrix_si(self) -> Array:
-        """Mass matrix (6, 6) of all that moves: loose masses, too."""
-        return self.ear.moving_mass_si()
-
-    @property
-    def stated_density_sd_kg_m3(self) -> float:
-        """Standard deviation of the density that the study states."""
-        return self.ear.density_sd * self.ear.density_kg_m3
-
-    @property
-    def stated_density_kg_m3(self) -> float:
-        """Density that the study states: the true one and a drawn error."""
-        draw = np.random.default_rng([self.scan.seed, 11]).standard_normal()
-        return float(self.ear.density_kg_m3 + self.stated_density_sd_kg_m3 * draw)
+    def stated_density_kg_m3(self) -> tuple[float, float]:
+        """Density that the study states, the true one and a drawn error, and its standard deviation."""
+        draw, sd = np.random.default_rng([self.scan.seed, 11]).standard_normal(), self.ear.density_sd
+        return float(self.ear.density_kg_m3 * (1.0 + sd * draw)), sd * self.ear.density_kg_m3
 
     @property
     def scan_from_footplate(self) -> RigidTransform:
@@ -226,7 +216,7 @@ def simulate_study(
 
 
 def _scan_keys(truth: Truth, scan: Scan) -> dict[str, Any]:
-    stated, sd = truth.stated_density_kg_m3, truth.stated_density_sd_kg_m3
+    stated, sd = truth.stated_density_kg_m3
     anterior = [round(float(part), 1) for part in truth.scan_from_footplate.rotation[:, 0]]
     keys = {
         "density_kg_m3": f"{stated:.1f}+-{sd:.1f}" if sd else f"{stated:.1f}",

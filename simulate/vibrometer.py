@@ -192,7 +192,8 @@ def measure_motion(
     noise = rng.standard_normal((*faultless.shape, 2)) @ np.array([1.0, 1j])
     velocity = state.faulty()
     if not experiment.exact:
-        velocity = velocity + sd * state.loud[:, None] * state.live() * noise
+        noisy = state.loud * np.any(state.factor != 0.0, axis=1)
+        velocity = velocity + sd * noisy[:, None] * noise
     marks = _fiducials(pose, references, experiment, rng)
     place_mm = np.repeat(reported, len(towards), axis=0)
     if experiment.in_footplate:

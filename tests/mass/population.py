@@ -97,7 +97,7 @@ def measure(seed: int, with_labels: bool = False, **options: object) -> Case:
     with tempfile.TemporaryDirectory() as name:
         truth = simulate_study(ear, scan, None, Path(name))
         anterior = tuple(float(v) for v in truth.scan_from_footplate.rotation[:, 0])
-        density = (truth.stated_density_kg_m3, truth.stated_density_sd_kg_m3)
+        density = truth.stated_density_kg_m3
         given = {"anterior": anterior, "density": density, "coat": 0, **options}
         if with_labels:
             write_labels(Path(name) / "labels.seg.nrrd", truth)

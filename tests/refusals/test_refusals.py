@@ -37,7 +37,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     truth = simulate_study(Ear(), Scan(voxel_um=60.0, samples=3, format="nrrd", seed=1), experiment, folder)
     assert truth.recording is not None
     write_motion(folder, "motion", motion_of(truth.recording))
-    np.savetxt(folder / "M.csv", truth.moving_mass_matrix_si, delimiter=",", fmt="%.17g")
+    np.savetxt(folder / "M.csv", truth.ear.moving_mass_si(), delimiter=",", fmt="%.17g")
     (folder / "plan.toml").write_text("", encoding="utf-8")
     return folder
 

@@ -142,7 +142,7 @@ def _mass_file(scene: Scene, truth: Truth, folder: Path) -> Path:
     if scene.scan is not None:
         return folder / "mass" / "mass.json"
     path = folder / "M.csv"
-    np.savetxt(path, truth.moving_mass_matrix_si, delimiter=",", fmt="%.17g")
+    np.savetxt(path, truth.ear.moving_mass_si(), delimiter=",", fmt="%.17g")
     return path
 
 
@@ -161,7 +161,7 @@ def worst_parameter(outcome: Outcome) -> float:
     """Return the largest difference of an inertial parameter from the truth, in its standard deviation."""
     assert outcome.mass is not None
     block = outcome.mass["inertial_parameters"]
-    true = parameters_from_matrix(outcome.truth.moving_mass_matrix_si)
+    true = parameters_from_matrix(outcome.truth.ear.moving_mass_si())
     sd = np.sqrt(np.diag(np.array(block["covariance_si"])))
     return float(np.max(np.abs(np.array(block["values_si"]) - true) / sd))
 
