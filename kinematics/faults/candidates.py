@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from kinematics.faults.kinds import Finding, Place, free
+from kinematics.faults.kinds import Finding, Place, free, places
 from kinematics.faults.rounds import Round
 from kinematics.joint.estimate import State, joint
 from kinematics.joint.tangents import Geometry
@@ -132,16 +132,22 @@ def _key(geometry: Geometry) -> bytes:
 
 
 def _louder(now: Round) -> list[Finding]:
-    """Return channels that are louder than stated or than the others, by their likelihood."""
+    """Return channels, points and lasers that are louder than stated or than the others, by likelihood."""
     energy, freedom = now.state.channel_energy
     found = []
-    for channel in np.flatnonzero(now.loudness > 1.0):
-        ratio, log_p = float(now.loudness[channel]), float(now.channel_noise[channel])
+    for place in places(now.layout, now.live):
+        own = list(place.channels)
+        if place.owner == "body" or not np.all(now.loudness[own] > 1.0):
+            continue
+        share = freedom[own] / np.sum(freedom[own])
+        ratio = float(share @ now.loudness[own])
+        # of several channels that are louder alike, the sum of their log probabilities
+        log_p = float(np.sum(now.channel_noise[own]))
         evidence = -log_p - 0.5 * float(np.log(now.packed.values))
         if now.stated:
-            fall = energy[channel] * (1.0 - 1.0 / ratio)
-            evidence = now.evidence(fall, 1) - 0.5 * freedom[channel] * float(np.log(ratio))
+            fall = float(np.sum(energy[own])) * (1.0 - 1.0 / ratio)
+            evidence = now.evidence(fall, 1) - 0.5 * float(np.sum(freedom[own])) * float(np.log(ratio))
         size = np.array([np.sqrt(ratio)])
-        sd = size / np.sqrt(2.0 * freedom[channel])
-        found.append(Finding("noise", Place("channel", (int(channel),)), size, sd, log_p, evidence, count=1))
+        sd = size / np.sqrt(2.0 * np.sum(freedom[own]))
+        found.append(Finding("noise", place, size, sd, log_p, evidence, count=1))
     return found

@@ -101,11 +101,10 @@ def diagnose(
     nothing = Diagnosis((), np.zeros(len(body.points)), 1.0, first, first)
     if not enough or all(fit.solution.is_rounding(_EXACT) for fit in fits):
         return nothing
-    level = 1.0
+    level = _noise_level(first) if stated else 1.0
+    if level != 1.0:
+        first = null_fit(readings, layout, priors, False)
     if not first.clean():
-        level = _noise_level(first) if stated else 1.0
-        if level != 1.0:
-            first = null_fit(readings, layout, priors, False)
         grows = None if first.clean() else amplitude_noise(readings, first.state)
         if grows is not None:
             first = null_fit(grows, layout, priors, False)

@@ -215,3 +215,22 @@ def test_the_table_of_channels_has_one_row_each(tmp_path):
     assert len(lines) == 16
     assert lines[0] == "run,body,point,dir_x,dir_y,dir_z,residual_rms_m,weight,verdict,estimate,p_value"
     assert [notice.code for notice in fault_notices(body, found)] == ["channel_sign"]
+
+
+@pytest.mark.parametrize("where", ["laser", "point"])
+def test_a_laser_or_point_that_is_louder_in_all_its_beams_is_one_finding(where):
+    recording = recorded(11, points=10)
+    own = [c for c in range(30) if (c % 3 == 1 if where == "laser" else c // 3 == 4)]
+    sd = recording.sd_m_s.copy()
+    sd[:, own] /= 1.4
+    (finding,) = diagnosed(replace(recording, sd_m_s=sd))[2].findings
+    assert finding.kind == "noise"
+    assert list(finding.channels) == own
+    assert finding.values[0] == pytest.approx(1.4, rel=0.1)
+
+
+def test_noise_smaller_than_stated_everywhere_is_said():
+    recording = recorded(7)
+    found = diagnosed(replace(recording, sd_m_s=recording.sd_m_s * 3.0))[2]
+    assert found.findings == ()
+    assert found.noise_level == pytest.approx(1 / 3, rel=0.05)
