@@ -276,6 +276,9 @@ def _plausibility(fit: KDFit) -> Iterator[Notice]:
     if not _within(value, PISTON_RANGE):
         text = "{:g} to {:g} N/m of human annular ligaments.".format(*PISTON_RANGE)
         text = f"The piston stiffness {value:.4g} N/m lies outside the published {text}"
+        if _within(value / (2.0 * np.pi) ** 2, PISTON_RANGE) and value > 3.0 * PISTON_RANGE[1]:
+            slow = value / (2.0 * np.pi) ** 2
+            text += f" It would be {slow:.4g} N/m if freq_hz held angular frequencies (rad/s): check that."
         yield Notice("implausible_stiffness", text)
     for name in ("alpha", "gamma"):
         if name not in fit.dof:

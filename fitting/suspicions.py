@@ -1,4 +1,4 @@
-"""Is the motion what its file says? Conjugated, bodies exchanged, rotations in degrees: quick checks."""
+"""Is the motion what its file says? Conjugated, reversed, exchanged, rotations in degrees: quick checks."""
 
 from __future__ import annotations
 
@@ -30,24 +30,33 @@ def suspicions(data: Data, law: str) -> list[Notice]:
         return notices
     m = len(data.measured)
     order = np.r_[m : 2 * m, :m]
-    readings = {
-        "phase_convention": (
+    sign = np.r_[np.ones(m), -np.ones(m)]
+    readings = (
+        (
+            "phase_convention",
             replace(bare, y=bare.y.conj(), covariance=bare.covariance.conj()),
             "The phases look like those of amplitudes of e^{-iwt}: the conjugate motion fits",
             "Conjugate the motion, or state the convention to points2dof",
         ),
-        "bodies_exchanged": (
+        (
+            "phase_convention",
+            replace(bare, y=bare.y * sign, covariance=bare.covariance * np.outer(sign, sign)),
+            "Structure and base look read in opposite senses: the motion fits with one of them reversed",
+            "Reverse the sign of all readings of the body whose directions point the wrong way",
+        ),
+        (
+            "bodies_exchanged",
             replace(bare, y=bare.y[:, order], covariance=bare.covariance[:, order][:, :, order]),
             "Structure and base look exchanged: the motion fits with their names swapped",
             "Exchange the names of the bodies, or --structure and --base",
         ),
-    }
-    levels = {code: _level(reading, model) for code, (reading, _, _) in readings.items()}
-    best = min(levels, key=lambda code: levels[code])
+    )
+    levels = [_level(reading, model) for _, reading, _, _ in readings]
+    best = int(np.argmin(levels))
     if levels[best] < _BETTER * own:
-        _, meaning, step = readings[best]
+        code, _, meaning, step = readings[best]
         text = f"{meaning} with chi2 per degree of freedom {levels[best]:.3g} instead of {own:.3g}. {step}."
-        notices.append(Notice(best, text))
+        notices.append(Notice(code, text))
     return notices
 
 

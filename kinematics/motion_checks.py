@@ -108,7 +108,7 @@ def phase_notices(
     text = (
         f"{structure} leads {base} by {np.rad2deg(np.arcsin(min(total / whole, 1.0))):.2g} degrees in the "
         "mean, where a passive ligament makes it lag: either these are amplitudes of e^{-iwt} (conjugate "
-        "them), or the two bodies are exchanged."
+        "them), or the two bodies are exchanged, or one of them reads with the opposite sign."
     )
     return [Notice("phase_convention", text)]
 

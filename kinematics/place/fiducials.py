@@ -18,7 +18,7 @@ FRAMES = ("plate", "scan", "footplate")
 
 _SEEN = ("x_mm", "y_mm", "z_mm")
 _KNOWN = ("x_ref_mm", "y_ref_mm", "z_ref_mm")
-_LEAST_APART_MM = 0.1  # the least footplate is 2 mm long: points closer together are in another unit
+_APART_MM = (0.1, 300.0)  # a footplate is 2 mm long, a holder 100 mm: beyond, they are in another unit
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def read_fiducials(path: Path) -> Fiducials:
     StapeskitError
         A column is missing, a cell is no finite number, a name is repeated, a frame is unknown or not the
         same for all, an sd is not positive or stated for some fiducials only; all faults are listed. Or all
-        fiducials lie next to each other, as in another unit.
+        fiducials lie next to each other or far apart, as in another unit.
     """
 
     def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
@@ -89,10 +89,14 @@ def read_fiducials(path: Path) -> Fiducials:
     named = dict(zip(table.lines.tolist(), names, strict=True))
     raise_all(_with_name(fault, named) for fault in faults)
     seen, known = (np.column_stack([table.numbers[name] for name in part]) for part in (_SEEN, _KNOWN))
-    apart = max(float(np.max(np.ptp(points, axis=0))) for points in (seen, known))
-    if len(names) > 1 and 0.0 < apart < _LEAST_APART_MM:
-        expected, step = "apart by millimetres", "Multiply coordinates in metres by 1000"
-        raise StapeskitError.of("the fiducials", expected, f"{apart:.3g} mm", table.file, step)
+    apart = [float(np.max(np.ptp(points, axis=0))) for points in (seen, known)]
+    small, large = 0.0 < max(apart) < _APART_MM[0], min(apart) > _APART_MM[1]
+    if len(names) > 1 and (small or large):
+        step = (
+            f"{'Multiply coordinates in metres by' if small else 'Divide coordinates in micrometres by'} 1000"
+        )
+        got = f"{max(apart):.3g} mm"
+        raise StapeskitError.of("the fiducials", "apart by millimetres", got, table.file, step)
     return Fiducials(names, seen, known, frames[0], sd if stated else None, table.file)
 
 

@@ -92,6 +92,11 @@ def exchanged(motion):
     return replace(motion, bodies=motion.bodies[::-1])
 
 
+def reversed_base(motion):
+    sign = np.where(np.array(motion.bodies) == "base", -1.0, 1.0)[:, None, None]
+    return replace(motion, q=motion.q * sign)
+
+
 def in_degrees(motion):
     scale = np.where([name in ("alpha", "beta", "gamma") for name in motion.dof], np.degrees(1.0), 1.0)
     return replace(motion, q=motion.q * scale, covariance=motion.covariance * np.outer(scale, scale))
@@ -102,6 +107,7 @@ def in_degrees(motion):
     [
         (conjugated, "phase_convention"),
         (exchanged, "bodies_exchanged"),
+        (reversed_base, "phase_convention"),
         (in_degrees, "unit_slip"),
     ],
 )
