@@ -2,18 +2,16 @@
 
 Drawn are the ring, its plane and loss, the mass, the motion of the bone, noise, positions (30 um), the pose
 of the footplate (30 um, 0.3 degrees), density (2 %) and centre of mass (6 um). One error of a known size may
-be added. As in 0.2 but for the stapes (OpenEar's, scaled, in place of balls), its points, and noise that is
-white in each channel's velocity.
+be added.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
-from benchmarks._table import PISTON_ENTRIES
 from fitting.dof2kd import dof2kd
 from fitting.result import KDFit
 from simulate import (
@@ -37,6 +35,7 @@ from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.records.rigid_motion import RigidMotion
 from stapeskit.spatial import dof_indices, matrix_from_parameters
 
+LINES = 120
 ALARMS = {"misfit", "cause_found", "fluid_found", "frequency_dependent"}
 POSITION_SD_MM, REGISTRATION_SD = 0.03, (30e-6, float(np.radians(0.3)))
 DENSITY_SD, CENTRE_SD_M = 0.02, 6e-6
@@ -47,28 +46,12 @@ _HEAD_MM = (0.1, 3.3, 0.1)
 
 @dataclass(frozen=True, kw_only=True)
 class RingEar:
-    """How an ear is drawn.
+    """How an ear is drawn."""
 
-    Attributes
-    ----------
-    height_mm, tilt_sd_deg, uneven : float
-        Of the plane of the ring, and of its strength around the rim (which is then warped by 30 um).
-    noise : float
-        Of a channel over its root mean square.
-    law : str
-    band_hz, lines
-    cause, size : str, float
-        One error of what the experimenter is given, one of `CAUSES`, or of the ligament.
-    """
-
-    height_mm: float = 0.1
-    tilt_sd_deg: float = 1.0
-    uneven: float = 0.0
-    noise: float = 0.01
+    height_mm: float = 0.1  # of the plane of the ring
+    noise: float = 0.01  # of a channel over its root mean square
     law: str = "viscous"
-    band_hz: tuple[float, float] = (400.0, 5000.0)
-    lines: int = 120
-    cause: str = ""
+    cause: str = ""  # one error of what the experimenter is given, or of the ligament, and its size
     size: float = 0.0
 
 
@@ -114,11 +97,8 @@ def _usual_mass() -> tuple[float, ...]:
     return tuple(Ear().mass().parameters())
 
 
-def _ligament(ear: RingEar, rng: np.random.Generator, seed: int) -> Ligament:
-    ring = replace(
-        draw_ring(rng, ear.height_mm, ear.tilt_sd_deg),
-        uneven=ear.uneven, warp_mm=0.03 if ear.uneven else 0.0, seed=seed,
-    )  # fmt: skip
+def _ligament(ear: RingEar, rng: np.random.Generator) -> Ligament:
+    ring = draw_ring(rng, ear.height_mm)
     changes = {
         "drift": {"drift": 0.01 * ear.size},
         "step": {"step": 0.01 * ear.size},
@@ -164,12 +144,12 @@ def draw_ear(ear: RingEar, *seed: int) -> Measured:
     number = int(rng.integers(1 << 31))
     runs = 2 if ear.cause == "second_run" else 1
     experiment = Experiment(
-        lines=ear.lines, band_hz=ear.band_hz, noise=ear.noise, noise_spread=(1.0, 1.0), beam_cone_deg=30.0,
+        lines=LINES, noise=ear.noise, noise_spread=(1.0, 1.0), beam_cone_deg=30.0,
         position_sd_mm=POSITION_SD_MM, excitations=("y",) * runs, seed=number,
     )  # fmt: skip
     freq_hz = experiment.freq_hz
     parameters = np.array(_usual_mass()) * rng.uniform(0.85, 1.15)
-    ligament = _ligament(ear, rng, number)
+    ligament = _ligament(ear, rng)
     moving = matrix_from_parameters(parameters)
     if ear.cause == "head_mass":
         moving = moving + matrix_from_parameters(point_mass(1e-6 * ear.size, _HEAD_MM))
@@ -212,6 +192,3 @@ def fluid_mg(fit: KDFit) -> tuple[float, float] | None:
         return None
     place = likelihood.at["extra"].start + names.index("fluid")
     return float(fit.found.theta[place]), float(np.sqrt(fit.found.covariance[place, place]))
-
-
-__all__ = ["ALARMS", "PISTON_ENTRIES", "Measured", "RingEar", "draw_ear", "fluid_mg", "has_alarm"]

@@ -1,7 +1,7 @@
 """Tables in Markdown, with the figures of version 0.2 next to the new ones.
 
-`benchmarks/results/before.json` holds what the scripts of version 0.2 printed. `Before` finds a figure there
-by the first words of its row and the head of its column.
+`benchmarks/results/before.json` holds what the scripts of version 0.2 printed. `before` finds a figure there
+by the first word of its row and the head of its column.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterable, Sequence
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -22,48 +21,22 @@ PISTON_ENTRIES = tuple(f"{letter}{i}{j}" for letter in "KD" for i in (1, 2, 3) f
 """Names of the twelve entries of K and D for y, alpha, gamma."""
 
 
-class Before:
-    """The tables that one script of version 0.2 printed.
+def printed_before(name: str) -> list[str]:
+    """Return what a script of version 0.2 printed; the name is a key of before.json."""
+    text = (RESULTS / "before.json").read_text(encoding="utf-8")
+    return list(json.loads(text)["tables"][name]["printed"])
 
-    Parameters
-    ----------
-    name : str
-        Key of before.json, e.g. ``fitting_estimators_100_20``.
-    """
 
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    @cached_property
-    def lines(self) -> list[str]:
-        """What it printed."""
-        text = (RESULTS / "before.json").read_text(encoding="utf-8")
-        return list(json.loads(text)["tables"].get(self.name, {}).get("printed", ()))
-
-    @cached_property
-    def rows(self) -> list[tuple[list[str], list[str]]]:
-        """Head and cells of every row of every table."""
-        found, head = list[tuple[list[str], list[str]]](), list[str]()
-        for line, following in zip(self.lines, [*self.lines[1:], ""], strict=False):
-            if not line.startswith("|"):
-                continue
-            cells = [cell.strip() for cell in line.strip("|").split("|")]
-            if set(following) <= set("|- ") and following:
-                head = cells
-            elif not set(line) <= set("|- "):
-                found.append((head, cells))
-        return found
-
-    def cell(self, column: str, *first: str) -> str:
-        """Return the cell of a column in the row that begins with some words; a dash where there is none."""
-        for head, cells in self.rows:
-            if tuple(cells[: len(first)]) == first and column in head:
-                return cells[head.index(column)]
-        return NOTHING
-
-    def line(self, start: str) -> str:
-        """Return the line that begins with some words, without them; a dash where there is none."""
-        return next((line[len(start) :].strip() for line in self.lines if line.startswith(start)), NOTHING)
+def before(name: str, column: str, first: str) -> str:
+    """Return the cell that version 0.2 printed in a column of the row that begins so; else a dash."""
+    head = list[str]()
+    for line in printed_before(name):
+        cells = [cell.strip() for cell in line.strip("|").split("|")] if line.startswith("|") else []
+        if not cells or not head:
+            head = cells
+        elif cells[0] == first and column in head:
+            return cells[head.index(column)]
+    return NOTHING
 
 
 def arguments(text: str | None, **defaults: float | str) -> argparse.Namespace:

@@ -22,11 +22,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks._table import Before, arguments, print_table
+from benchmarks._table import arguments, before, print_table
 from simulate import Ear, Scan, write_scan
 
 ROOT = Path(__file__).resolve().parents[1]
-BEFORE = Before("ct_speed_quick_repeat_7")
+BEFORE = "ct_speed_quick_repeat_7"
 OURS = "ct2mass"
 PEERS = {
     "level given, VTK flying edges on the whole scan + trimesh": "vtk_trimesh",
@@ -98,7 +98,7 @@ def rows(runs: dict[str, list[Run]]) -> list[list[str]]:
             f"{min(one.processor_s for one in own):.2f} s",
             f"{max(one.own_mb for one in own):.0f} MB",
         ]
-        old = [BEFORE.cell(column, title) for column in COLUMNS]
+        old = [before(BEFORE, column, title) for column in COLUMNS]
         found.append([title, *(cell for pair in zip(cells, old, strict=True) for cell in pair)])
     return found
 

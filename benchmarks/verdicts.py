@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks._table import Before, arguments, print_table
+from benchmarks._table import arguments, before, print_table
 from simulate import Ear, Experiment, MeasurementFault, Scan, Stapes, Truth, simulate_study
 from simulate.files.recordings import write_recording
 from simulate.study import simulate_recording
@@ -32,7 +32,7 @@ MOST_SD = 4.0
 MOST_SHARE = 0.3
 REFUSED = "refused"
 LEVELS = ("believe", "check", "do not use", REFUSED)
-BEFORE = Before("verdicts_16_first_7000")
+BEFORE = "verdicts_16_first_7000"
 Draw = np.random.Generator
 
 
@@ -215,7 +215,7 @@ def row(title: str, group: Sequence[Study]) -> list[str]:
     """Return a row: every verdict, followed by that of 0.2."""
     cells = [title]
     for level in LEVELS:
-        cells += [cell(group, level), BEFORE.cell(level, title)]
+        cells += [cell(group, level), before(BEFORE, level, title)]
     return cells
 
 

@@ -105,27 +105,19 @@ class Ring:
     normal: float = 2.6e5
     loss_s: float = 1.4e-5  # damping over stiffness, with ``loss_ratios`` for radial, tangential and normal
     loss_ratios: tuple[float, float, float] = (1.1, 0.9, 1.0)
-    # by how much the strength varies around the rim in its first and second harmonic (drawn by ``seed``)
-    uneven: float = 0.0
-    warp_mm: float = 0.0  # height of the second harmonic of the rim out of its plane
     pieces: int = 90
-    seed: int = 1
 
     def matrix(self, radial: float, tangential: float, normal: float) -> Array:
         """Return the (6, 6) matrix of the ring about the footplate centre for three constants per length."""
         angle = (np.arange(self.pieces) + 0.5) * 2.0 * np.pi / self.pieces
-        rng = np.random.default_rng([self.seed, 23])
-        size, phase = rng.standard_normal(3), rng.uniform(0.0, 2.0 * np.pi, 3)
-        waves = size[:, None] * np.cos(np.outer([1, 2, 2], angle) + phase[:, None])
-        strength = np.maximum(1.0 + self.uneven * (waves[0] + waves[1]), 0.05)
         a, b = np.asarray(self.half_axes_mm) * 1e-3
         turn = rotation_from_vector(np.radians([self.tilt_deg[0], 0.0, self.tilt_deg[1]]))
-        places = np.column_stack([a * np.cos(angle), self.warp_mm * 1e-3 * waves[2], b * np.sin(angle)])
+        places = np.column_stack([a * np.cos(angle), np.zeros(self.pieces), b * np.sin(angle)])
         tangents = np.column_stack([-a * np.sin(angle), np.zeros(self.pieces), b * np.cos(angle)])
         length = np.linalg.norm(tangents, axis=1)
         up = np.array([0.0, 1.0, 0.0])
         total = np.zeros((6, 6))
-        for place, along, share in zip(places, tangents / length[:, None], strength * length, strict=True):
+        for place, along, share in zip(places, tangents / length[:, None], length, strict=True):
             axes = turn @ np.column_stack([np.cross(along, up), along, up])
             local = axes @ np.diag([radial, tangential, normal]) @ axes.T * (share * angle[0] * 2.0)
             arm = turn @ place + np.asarray(self.centre_mm) * 1e-3

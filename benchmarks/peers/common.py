@@ -18,10 +18,7 @@ def read_stack(path: Path) -> tuple[Any, float]:
     import tifffile
 
     with tifffile.TiffFile(path) as file:
-        if file.is_imagej:
-            spacing = float(file.imagej_metadata["spacing"])
-        else:
-            spacing = float(file.ome_metadata.split('PhysicalSizeX="')[1].split('"')[0])
+        spacing = float(file.ome_metadata.split('PhysicalSizeX="')[1].split('"')[0])
     volume = tifffile.memmap(path, mode="r")
     return volume.astype(volume.dtype.newbyteorder("="), copy=False), spacing
 
