@@ -114,7 +114,13 @@ def assemble(
     check_filled(
         len(takes) * len({(row.body, row.beam) for row in rows}), len(freq_hz), len(rows) * len(freq_hz)
     )
-    notices += [*about_bodies, *about_runs, *_reference_notices(rows), *about_lines]
+    notices += [*about_bodies, *about_runs, *about_lines]
+    if units := sorted({row.per for row in rows} - {""}):
+        text = (
+            f"the values are responses per {' or '.join(units)}: so are all motions and their standard "
+            "deviations; stiffness and damping do not depend on it."
+        )
+        notices.append(Notice("file_read", text))
     faults, bodies = list[Fault](), list[BodyChannels]()
     for name in dict.fromkeys(row.body for row in rows):
         with collect_faults(faults):
@@ -166,16 +172,6 @@ def _as_order(row: Row, order: int) -> Row:
     factor = (2j * np.pi * row.freq_hz) ** (order - row.order)
     sd = None if row.sd is None else row.sd * np.abs(factor)
     return replace(row, value=row.value * factor, sd=sd)
-
-
-def _reference_notices(rows: Sequence[Row]) -> list[Notice]:
-    """Report the quantity that the motion refers to."""
-    units = sorted({row.per for row in rows} - {""})
-    text = (
-        f"the values are responses per {' or '.join(units)}: so are all motions and their standard "
-        "deviations; stiffness and damping do not depend on it."
-    )
-    return [Notice("file_read", text)] if units else []
 
 
 def _body(

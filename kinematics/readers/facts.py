@@ -51,11 +51,10 @@ class FileFacts:
         return tuple(_rule(text) for text in self.body)
 
     @cached_property
-    def runs(self) -> tuple[tuple[str, str], ...]:
-        """Names and files of ``run``; refused where one is no NAME=FILE."""
-        rules = [tuple(part.strip() for part in text.partition("=")[::2]) for text in self.run]
-        raise_all(Fault("--run", "NAME=FILE", "=".join(rule)) for rule in rules if not all(rule))
-        return tuple((name, file) for name, file in rules)
+    def runs(self) -> dict[str, str]:
+        """Names of runs by the files of ``run``."""
+        rules = (text.partition("=") for text in self.run)
+        return {file.strip(): name.strip() for name, _, file in rules}
 
     def unused(self, recordings: Sequence[Recording]) -> list[Fault]:
         """List the options that were given but that no file needs."""
@@ -74,18 +73,17 @@ class FileFacts:
 
 
 def _rule(text: str) -> tuple[str, tuple[tuple[str, str], ...]]:
-    """Read ``NAME=POINTS``."""
+    """Read ``NAME=POINTS``; a file before a colon is that of the points that follow."""
     name, _, points = (part.strip() for part in text.partition("="))
-    chosen: list[tuple[str, str]] = []
-    file = ""
-    for item in points.split(","):
-        head, colon, rest = item.strip().rpartition(":")
-        file, item = (head.strip(), rest.strip()) if colon else (file, item.strip())
-        span = _SPAN.fullmatch(item)
-        if not item or not name or (span and int(span[1]) > int(span[2])):
-            step = "Write it like --body stapes=1-10,12 or --body base=base.uff"
-            raise StapeskitError.of("--body", "NAME= and numbers, ranges or names", text, "", step)
+    chosen, file = list[tuple[str, str]](), ""
+    for part in points.split(","):
+        head, colon, item = (text.strip() for text in part.rpartition(":"))
+        file = head if colon else file
         chosen.append((file, item))
+    spans = [span for _, item in chosen if (span := _SPAN.fullmatch(item))]
+    if not name or not all(item for _, item in chosen) or any(int(span[1]) > int(span[2]) for span in spans):
+        step = "Write it like --body stapes=1-10,12 or --body base=base.uff"
+        raise StapeskitError.of("--body", "NAME= and numbers, ranges or names", text, "", step)
     return name, tuple(chosen)
 
 
@@ -227,11 +225,11 @@ def with_runs(rows: Sequence[Row], facts: FileFacts) -> tuple[list[Row], list[No
     given = list(dict.fromkeys(row.file for row in rows))
     raise_all(
         Fault(f"the file of --run {name}={file}", f"one of {', '.join(given)}", file, "", "Correct its name")
-        for name, file in facts.runs
+        for file, name in facts.runs.items()
         if not any(is_file(file, other) for other in given)
     )
-    stated = {one: next((name for name, file in facts.runs if is_file(file, one)), "") for one in given}
-    labelled = [replace(row, run=f"{stated[row.file]} {row.run}".strip()) for row in rows]
+    stated = {one: name for one in given for file, name in facts.runs.items() if is_file(file, one)}
+    labelled = [replace(row, run=f"{stated.get(row.file, '')} {row.run}".strip()) for row in rows]
     files = defaultdict[object, set[str]](set)
     for row in labelled:
         files[row.key].add(row.file)

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 _LIMIT_S, _LIMIT_S_PER_BYTE = 5.0, 2e-6  # of processor time: pyuff takes 0.1e-6 s a byte of text
 _HEAD_BYTES = 1 << 16  # holds the header of every known format
 _ZIP, _COMPOUND, _HDF5 = b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", b"\x89HDF\r\n\x1a\n"
-_SOUND = (b"RIFF", b"RIFX", b"RF64")
 _TABLES = (".csv", ".tsv", ".txt")
 _TIDY = {"body", "dir", "dir_x", "freq_hz"}
 _UFF = re.compile(rb"[\r\n]*(?:\xef\xbb\xbf)?[ \t]*-1[ \t]*\r?\n[ \t]*\d{1,6}[bB ]?")
@@ -33,10 +32,7 @@ _EXPORT_STEP = (
     "Export the spectra of all points in the program that wrote it, as UFF (universal file, with geometry) "
     "or as ASCII (Real & Imag.), and give that file or folder"
 )
-_DESCRIBED_STEP = (
-    "It is not read any more: put names and units into the header, rms into --amplitude, bodies, runs and "
-    "directions into --body, --run and --beam; conjugate values of e^{-iwt}; then move it away"
-)
+_DESCRIBED_STEP = "State what it says by the header, --amplitude, --body, --run, --beam; then move it away"
 
 
 @dataclass(frozen=True)
@@ -53,7 +49,7 @@ class Head:
         from kinematics.readers.sheets import sheets_of
         from kinematics.readers.wide import is_wide
 
-        binary = self.content.startswith((_ZIP, _COMPOUND, *_SOUND))
+        binary = self.content.startswith((_ZIP, _COMPOUND))
         sheets = [] if binary else sheets_of(decoded(self.content), "", [])
         if not sheets:
             return ""
@@ -107,11 +103,10 @@ FORMATS = (
         "Polytec PSV: FastScan (a file or block for each frequency), or a file or block for each point",
     ),
     Format(
-        "series", "time series (.csv, .npz, .wav)",
-        lambda head: head.content.startswith(_SOUND) or head.kind == "series"
-        or (head.content.startswith(_ZIP) and b".npy" in head.content),
+        "series", "time series (.csv, .npz)",
+        lambda head: head.kind == "series" or (head.content.startswith(_ZIP) and b".npy" in head.content),
         "with a channel table, also .mat and .h5: H1 with its noise, or periodic excitation",
-        libraries=("numpy", "scipy.io"), series=True,
+        libraries=("numpy", "scipy.signal"), series=True,
     ),
     Format(
         "wide", "a wide table (.csv)", lambda head: head.kind == "wide",

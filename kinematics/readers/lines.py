@@ -34,36 +34,30 @@ def common_grid(grids: Sequence[Array]) -> tuple[Array, list[Index], list[Notice
     """
     keys = [np.ascontiguousarray(grid, dtype=float).tobytes() for grid in grids]
     different = dict(zip(keys, grids, strict=True))
-    joined, widest = np.empty(0), 0.0
-    for grid in different.values():
-        _, apart, limit = _nearest(joined, grid)
-        matched = apart <= limit
-        widest = max(widest, float(np.max(apart[matched & (apart > SAME_LINE * grid)], initial=0.0)))
-        joined = np.sort(np.concatenate([joined, grid[~matched]]))
-    places = {key: _nearest(joined, grid)[0] for key, grid in different.items()}
+    freq = np.concatenate([*different.values()])
+    order = np.argsort(freq, kind="stable")
+    limit = np.concatenate([_joined_within(grid) for grid in different.values()])[order]
+    apart = np.diff(freq[order])
+    joined = apart <= np.minimum(limit[1:], limit[:-1])
+    line = np.empty(len(freq), dtype=np.intp)
+    line[order] = np.concatenate([[0], np.cumsum(~joined)])
+    first = np.unique(line, return_index=True)[1]
+    ends = np.cumsum([len(grid) for grid in different.values()])[:-1]
+    places = dict(zip(different, np.split(line, ends), strict=True))
+    widest = float(np.max(apart[joined & (apart > SAME_LINE * freq[order][1:])], initial=0.0))
     text = (
         f"frequencies that differ by up to {widest:.2g} Hz between channels were taken as one line (within "
         "1 % of the line spacing and 1e-4 of the frequency)."
     )
-    return joined, [places[key] for key in keys], [Notice("file_read", text)] if widest > 0.0 else []
+    notices = [Notice("file_read", text)] if widest > 0.0 else []
+    return freq[first], [places[key] for key in keys], notices
 
 
-def _nearest(lines: Array, grid: Array) -> tuple[Index, Array, Array]:
-    """Return the nearest of ascending lines to each frequency, how far it is, and how far it may be."""
-    if not len(lines):
-        return np.zeros(len(grid), dtype=np.intp), np.full(len(grid), np.inf), np.zeros(len(grid))
-    above = np.clip(np.searchsorted(lines, grid), 0, len(lines) - 1)
-    below = np.maximum(above - 1, 0)
-    nearest = np.where(grid - lines[below] <= lines[above] - grid, below, above)
-    spacing = np.minimum(_spacing(lines)[nearest], _spacing(grid))
-    limit = np.maximum(np.minimum(OF_SPACING * spacing, MOST * grid), SAME_LINE * grid)
-    return nearest, np.abs(lines[nearest] - grid), limit
-
-
-def _spacing(lines: Array) -> Array:
-    """Return the distance of each line from its nearest neighbour."""
-    steps = np.concatenate([[np.inf], np.diff(lines), [np.inf]])
-    return np.asarray(np.minimum(steps[:-1], steps[1:]))
+def _joined_within(grid: Array) -> Array:
+    """Return by how much the lines (l,) of a grid may differ from the same lines of another one, Hz."""
+    steps = np.concatenate([[np.inf], np.diff(grid), [np.inf]])
+    spacing = np.minimum(steps[:-1], steps[1:])
+    return np.asarray(np.maximum(np.minimum(OF_SPACING * spacing, MOST * grid), SAME_LINE * grid))
 
 
 def check_filled(rows: int, lines: int, readings: int, where: str = "") -> None:
@@ -85,16 +79,21 @@ def grid_faults(freq_hz: Array, present: Mapping[str, NDArray[np.bool_]]) -> lis
     ``present`` says by body where it was measured, (L,).
     """
     faults = []
-    measured = {name: np.flatnonzero(row) for name, row in present.items() if np.any(row)}
-    for name, lines in list(measured.items())[1:]:
-        first_name, first = next(iter(measured.items()))
+    measured = [(name, np.flatnonzero(row)) for name, row in present.items() if np.any(row)]
+    for name, lines in measured[1:]:
+        first_name, first = measured[0]
         common = len(np.intersect1d(first, lines))
         low, high = max(first[0], lines[0]), min(first[-1], lines[-1])
         within = min(int(np.sum((own >= low) & (own <= high))) for own in (first, lines))
         if not common or 2 * common < within:
-            spans = [f"{freq_hz[own[0]]:.8g} to {freq_hz[own[-1]]:.8g} Hz" for own in (first, lines)]
             want = "the same within 1 % of their spacing and 1e-4, as far as both bodies were measured"
-            got = f"{len(first)} from {spans[0]} and {len(lines)} from {spans[1]}, {common} in common"
-            thing, step = f"the frequencies of bodies {first_name} and {name}", "Measure both on one grid"
-            faults.append(Fault(thing, want, got, "", step))
+            spans = [
+                f"{len(own)} from {freq_hz[own[0]]:.8g} to {freq_hz[own[-1]]:.8g} Hz"
+                for own in (first, lines)
+            ]
+            thing, got = (
+                f"the frequencies of bodies {first_name} and {name}",
+                f"{' and '.join(spans)}, {common} in common",
+            )
+            faults.append(Fault(thing, want, got, "", "Measure both on one grid"))
     return faults

@@ -1,15 +1,14 @@
-"""Read time series (CSV, NPZ, WAV, MATLAB, HDF5) as frequency responses by a table of channels.
+"""Read time series (CSV, NPZ, MATLAB, HDF5) as frequency responses by a table of channels.
 
 Files: a CSV with a column ``time_s`` and one column a channel; arrays of samples by the names of their
-channels with ``sample_rate_hz`` (``fs``) or ``time_s`` (``t``); WAV, whose channels are named 1, 2, ... and
-scaled to full scale = 1.
+channels with ``sample_rate_hz`` (``fs``) or ``time_s`` (``t``).
 
 The table of channels, one row a channel::
 
     channel, role, body, point, dir, unit [, sensitivity] [, x_mm, y_mm, z_mm] [, run] [, file]
 
-``role`` is ``response``, ``reference`` or ``ignore``; ``dir`` an axis, or dir_x, dir_y, dir_z. ``unit`` is
-that of the numbers times ``sensitivity`` (any unit for a reference): 5 mm/s per volt is 0.005 and m/s.
+``role`` is ``response``, ``reference`` or ``ignore``; ``dir`` an axis or "X,Y,Z". ``unit`` is that of the
+numbers times ``sensitivity`` (any unit for a reference): 5 mm/s per volt is 0.005 and m/s.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ import numpy as np
 
 from kinematics.readers.facts import FileFacts, direction_of, is_file
 from kinematics.readers.gather import recording_of
-from kinematics.readers.points import cell_faults, require, text_of
+from kinematics.readers.points import POSITION, cell_faults, require, text_of
 from kinematics.readers.recording import Recording, Row, unknown_vector
 from kinematics.readers.text import plain_name, shown
 from kinematics.readers.tree import read_tree
@@ -41,7 +40,7 @@ ROLES = ("response", "reference", "ignore")
 TIMES = ("time_s", "time", "t", "x")
 RATES = ("sample_rate_hz", "sample_rate", "fs", "fs_hz")
 
-_NUMBERS = ("dir_x", "dir_y", "dir_z", "x_mm", "y_mm", "z_mm", "sensitivity")
+_NUMBERS = (*POSITION, "sensitivity")
 _TEXTS = ("channel", "role", "body", "point", "dir", "unit", "run", "file")
 _JITTER = 0.1  # difference of sampling times, in samples, that counts as rounding of written times
 _SHORTEST = 16  # samples; shorter records hold no spectrum
@@ -88,14 +87,9 @@ def read(path: Path, facts: FileFacts) -> Recording:
         raise StapeskitError.of("the table of channels", want, got, facts.channels.name, step)
     rate, samples = _read_samples(path, [one.name for one in (*responses, *references)])
     notices = []
-    silent = {name for name, one in samples.items() if np.ptp(one) == 0.0}
-    alive = [one for one in responses if one.name not in silent]
-    if not alive or references[0].name in silent:
-        got, step = f"one value in all samples of {list_some(silent)}", "Check that it was connected"
-        raise StapeskitError.of("reference and responses", "with a signal", got, path.name, step)
-    if silent:
-        text = f"{list_some(silent, 6)} of {path.name} hold one value throughout and are left out."
-        notices.append(Notice("zero_rows", text))
+    if silent := [name for name, one in samples.items() if np.ptp(one) == 0.0]:
+        got, step = "one value in all samples", "Check that they were connected, or give them the role ignore"
+        raise StapeskitError.of(f"channels {list_some(silent, 6)}", "with a signal", got, path.name, step)
     if clipped := [name for name, one in samples.items() if _is_clipped(one)]:
         text = (
             f"{', '.join(clipped)} of {path.name}: neighbouring samples lie at the largest or smallest value "
@@ -103,7 +97,7 @@ def read(path: Path, facts: FileFacts) -> Recording:
         )
         notices.append(Notice("samples_stuck", text))
     lead = samples[references[0].name] * references[0].scale
-    signals = np.array([samples[one.name] * one.scale for one in alive])
+    signals = np.array([samples[one.name] * one.scale for one in responses])
     if facts.period_s is not None:
         frf = periodic_frf(lead, signals, rate, facts.period_s, path.name)
     else:
@@ -118,7 +112,7 @@ def read(path: Path, facts: FileFacts) -> Recording:
             coherence=frf.coherence[k],
             n_avg=frf.n_avg,
         )
-        for k, one in enumerate(alive)
+        for k, one in enumerate(responses)
     ]
     statement, spread = f"time series at {rate:g} Hz", frf.line_spread
     return recording_of(path.name, rows, notices=notices, statement=statement, line_spread=spread)
@@ -171,10 +165,9 @@ def _listed(table: Table, line: int, faults: list[Fault]) -> Listed:
         want, got = f"one of {MOTIONS}; of a reference any", shown(texts["unit"]) or "none"
         faults.append(Fault("unit", want, got, where, step))
     direction = unknown_vector()
-    if role == "response":
-        direction = np.array([numbers[name] for name in _NUMBERS[:3]])
+    if role == "response" and texts["dir"]:
         with collect_faults(faults):
-            direction = direction_of(texts["dir"], where, "dir") if texts["dir"] else direction
+            direction = direction_of(texts["dir"], where, "dir")
     row = Row(
         plain_name(texts["point"]) or "1",
         np.empty(0),
@@ -184,7 +177,7 @@ def _listed(table: Table, line: int, faults: list[Fault]) -> Listed:
         texts["run"],
         direction=direction,
         where=where,
-        position_m=1e-3 * np.array([numbers[name] for name in _NUMBERS[3:6]]),
+        position_m=1e-3 * np.array([numbers[name] for name in POSITION]),
     )
     per = SI_UNITS[unit.order] if unit else plain(texts["unit"])
     return Listed(texts["channel"], role, texts["file"], factor * (unit.scale if unit else 1.0), per, row)
@@ -225,7 +218,7 @@ def _read_samples(path: Path, names: Sequence[str]) -> tuple[float, dict[str, Ar
         raise StapeskitError.of("the record", "of random or periodic excitation", got, path.name, _STEPS)
     times = [held[name].reshape(-1).astype(float) for name in TIMES if np.size(held.get(name, [])) == longest]
     rates = [float(held[name].reshape(-1)[0]) for name in RATES if np.size(held.get(name, [])) == 1]
-    rate = sampling_rate(times[0], path.name) if times else [*rates, np.nan][0]
+    rate = _sampling_rate(times[0], path.name) if times else [*rates, np.nan][0]
     if not 0.0 < rate <= HIGHEST_HZ:
         step, got = "Add sample_rate_hz (a number) or time_s (s, one a sample)", f"the variables {listed}"
         raise StapeskitError.of("the file", "with a positive sampling rate", got, path.name, step)
@@ -243,16 +236,6 @@ def _arrays(path: Path, names: Sequence[str]) -> Mapping[str, Any]:
     """Return the variables of a file by their names."""
     with path.open("rb") as stream:
         head = stream.read(128)
-    if head[:4] in (b"RIFF", b"RIFX", b"RF64"):
-        from scipy.io import wavfile
-
-        rate, data = wavfile.read(path)
-        zero, full = 0.0, 1.0
-        if data.dtype.kind in "iu":  # unsigned bytes have their zero at 128
-            full = 2.0 ** (8 * data.dtype.itemsize - 1)
-            zero = full if data.dtype.kind == "u" else 0.0
-        rows = (np.atleast_2d(data.T).astype(float) - zero) / full
-        return {"sample_rate_hz": rate, **{str(k): row for k, row in enumerate(rows, 1)}}
     if head.startswith(b"PK\x03\x04"):
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
@@ -271,23 +254,15 @@ def _arrays(path: Path, names: Sequence[str]) -> Mapping[str, Any]:
     return table.numbers
 
 
-def sampling_rate(time: Array, where: str) -> float:
-    """Return the sampling rate, Hz, of evenly spaced times (sample,), s.
-
-    Raises
-    ------
-    StapeskitError
-        Fewer than two times, or such that are not finite, do not ascend or are not evenly spaced.
-    """
+def _sampling_rate(time: Array, where: str) -> float:
+    """Return the sampling rate, Hz, of evenly spaced times (sample,), s; others are refused."""
+    count = len(time) - 1
     span = float(time[-1] - time[0])
-    if not (span > (len(time) - 1) / HIGHEST_HZ and np.all(np.isfinite(time))):
-        raise StapeskitError.of("time_s", "at least two finite, ascending times in s", "others", where)
-    step = span / (len(time) - 1)
-    off = np.abs((time - time[0]) / step - np.arange(len(time)))
-    if np.max(off) > _JITTER:
-        got = f"{np.max(off):.3g} steps off at sample {np.argmax(off) + 1}"
-        raise StapeskitError.of("time_s", "evenly spaced", got, where, "Resample to even times")
-    return 1.0 / step
+    even = span > count / HIGHEST_HZ and np.all(np.isfinite(time))
+    if not even or np.max(np.abs((time - time[0]) * count / span - np.arange(count + 1))) > _JITTER:
+        want, step = "finite, ascending and evenly spaced, in s", "Resample to even times"
+        raise StapeskitError.of("the times", want, "others", where, step)
+    return count / span
 
 
 def _is_clipped(samples: Array) -> bool:

@@ -79,37 +79,6 @@ class Medium:
     freq_hz: Array
 
 
-@dataclass(frozen=True)
-class Scan:
-    """What the scan file holds; p points, L lines, in SI.
-
-    ``points_m`` (p, 3) are in the aligned coordinates of the scan, NaN where the file has none; ``cross``
-    (p, L) is the averaged cross power, vibrometer times conjugate of reference, ``auto`` and
-    ``auto_reference`` (p, L) the auto powers, NaN at points that were not measured.
-    """
-
-    version: str
-    freq_hz: Array
-    points_m: Array
-    cross: ComplexArray
-    auto: Array
-    auto_reference: Array
-    direction_code: int
-    reference_code: int
-    names: tuple[str, str]
-    averages: int
-
-    @property
-    def h1(self) -> ComplexArray:
-        """Response with noise in the vibrometer alone: cross power over auto power of the reference."""
-        return np.asarray(self.cross / self.auto_reference)
-
-    @property
-    def coherence(self) -> Array:
-        """Ordinary coherence."""
-        return np.asarray(np.abs(self.cross) ** 2 / (self.auto * self.auto_reference))
-
-
 def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     """Read the responses H1 of a scan file, with the coherence that gives their noise.
 
@@ -118,47 +87,12 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     StapeskitError
         Another version, mode, quantity or number of channels than the reader knows, or a damaged file.
     """
-    path = Path(path)
-    scan, notices = read_scan(path), list[Notice]()
-    measured = ~np.all(np.isnan(scan.cross * scan.auto * scan.auto_reference), axis=1)
-    if not np.all(measured):
-        text = f"{np.sum(~measured)} points of {path.name} were not measured and are left out."
-        notices.append(Notice("zero_rows", text))
-    direction = np.array(DIRECTIONS.get(scan.direction_code, unknown_vector()), dtype=float)
-    if scan.direction_code not in CHECKED_DIRECTIONS and scan.direction_code in DIRECTIONS:
-        text = (
-            f"the direction of channel {scan.names[0]} in {path.name} has the code {scan.direction_code}, "
-            f"read as {direction.astype(int).tolist()} by the order of the codes 2 to 4 that exports "
-            "confirm: compare it with the direction that the PSV program shows."
-        )
-        notices.append(Notice("axes_assumed", text))
-    unit = MotionUnit(1, per=REFERENCES.get(scan.reference_code, f"unit of {scan.names[1]}"))
-    # the ratio of powers of an empty line is no number: a missing value
-    with np.errstate(divide="ignore", invalid="ignore"):
-        response, coherence = scan.h1, np.minimum(scan.coherence, 1.0)
-    response[~np.isfinite(response)] = np.nan
-    rows = [
-        Row(
-            str(point + 1), scan.freq_hz, response[point], unit, position_m=scan.points_m[point],
-            direction=direction, coherence=coherence[point], n_avg=float(scan.averages),
-            where=Place(path.name, "point", (point + 1,)),
-        )
-        for point in np.flatnonzero(measured).tolist()
-    ]  # fmt: skip
-    statement = (
-        f"PSV {scan.version}, aligned coordinates in metres, H1 of {scan.names[0]} over {scan.names[1]}, "
-        f"{scan.averages} averages"
-    )
-    return recording_of(path.name, rows, notices=notices, statement=statement)
-
-
-def read_scan(path: Path) -> Scan:
-    """Read the averaged powers of a scan file; refused as `read` does."""
     import olefile
 
+    path = Path(path)
     try:
         with olefile.OleFileIO(path) as ole:
-            return _File(ole, path.name).scan()
+            return _File(ole, path.name).recording()
     except StapeskitError:
         raise
     except (OSError, struct.error, IndexError, ValueError) as fault:  # olefile and short streams
@@ -186,49 +120,62 @@ class _File:
         self.require(version == known, f"the layout of {name}", f"version {known}", f"version {version}")
         return content
 
-    def scan(self) -> Scan:
-        """Read the one cross power of the file, both its auto powers and what belongs to them."""
+    def recording(self) -> Recording:
+        """Read H1 (cross power over auto power of the reference) of every point that was measured."""
+        cross, own, other = self.spectra()
+        one, two = _channels_of(cross)
+        names = (cross.names.get(one, ""), cross.names.get(two, ""))
+        mode, _, averages = _numbers("<3i", self.stream("Info/DAQ_Settings_Fft/Average"), 4)
+        good, got = mode == AVERAGED_FFT and averages >= 1, f"mode {mode} with {averages} averages"
+        self.require(good, "the averaging", "complex averaging of spectra", got)
+        notices = list[Notice]()
+        direction = self.direction(names, notices)
+        points = self.points()
+        power = self.records(cross, "<c8", len(points))
+        auto, reference = (self.records(medium, "<f4", len(points)).real for medium in (own, other))
+        measured = ~np.all(np.isnan(power * auto * reference), axis=1)
+        if not np.all(measured):
+            text = f"{np.sum(~measured)} points of {self.name} were not measured and are left out."
+            notices.append(Notice("zero_rows", text))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            response = power / reference
+            coherence = np.minimum(np.abs(power) ** 2 / (auto * reference), 1.0)
+        response[~np.isfinite(response)] = np.nan  # an empty line: a missing value
+        unit = MotionUnit(1, per=REFERENCES.get(cross.quantities.get(two, 0), f"unit of {names[1]}"))
+        rows = [
+            Row(
+                str(point + 1), cross.freq_hz, response[point], unit, position_m=points[point],
+                direction=direction, coherence=coherence[point], n_avg=float(averages),
+                where=Place(self.name, "point", (point + 1,)),
+            )
+            for point in np.flatnonzero(measured).tolist()
+        ]  # fmt: skip
+        version = self.ole.openstream("FileVersion").read()
+        statement = (
+            f"PSV {version[9]}.{version[8]}, aligned coordinates in metres, H1 of {names[0]} over "
+            f"{names[1]}, {averages} averages"
+        )
+        return recording_of(self.name, rows, notices=notices, statement=statement)
+
+    def spectra(self) -> tuple[Medium, Medium, Medium]:
+        """Return the one cross power of the file, and the auto powers of its vibrometer and reference."""
         streams = {"/".join(name) for name in self.ole.listdir()}
         modes = sorted({name.split("/")[1] for name in streams if name.startswith("Info/DAQ_Settings")})
         known = "Info/DAQ_Settings_Fft/Fft" in streams
         self.require(known, "the acquisition mode", "FFT", ", ".join(modes) or "none")
-        whole = self.ole.openstream("FileVersion").read()
         folders = sorted({name.split("/")[1] for name in streams if name.startswith("Polytec_Data/")})
         media = {medium.formula: medium for medium in map(self.medium, folders)}
-        crosses = [match for formula in media if (match := _CROSS.fullmatch(formula))]
-        autos = [f"AVG[AP[S[T[{number}]]]]" for match in crosses for number in match.groups()]
+        crosses = [medium for formula, medium in media.items() if _CROSS.fullmatch(formula)]
+        autos = [f"AVG[AP[S[T[{number}]]]]" for cross in crosses for number in _channels_of(cross)]
         want = "one cross power of a vibrometer channel and a reference, with both auto powers"
         good = len(crosses) == 1 and set(autos) <= set(media)
         self.require(good, "the averaged spectra", want, ", ".join(media) or "none")
-        cross, own, reference = (media[formula] for formula in (crosses[0][0], *autos))
-        same = all(np.array_equal(medium.freq_hz, cross.freq_hz) for medium in (own, reference))
+        cross, own, other = crosses[0], media[autos[0]], media[autos[1]]
+        same = all(np.array_equal(medium.freq_hz, cross.freq_hz) for medium in (own, other))
         self.require(same, "the spectra", "of the same frequencies", "different ones")
-        one, other = map(int, crosses[0].groups())
-        names = (cross.names.get(one, ""), cross.names.get(other, ""))
-        channels = self.channels()
-        vibrometers = [name for name, (_, vibrometer) in channels.items() if vibrometer]
-        got = f"{', '.join(vibrometers)}; spectra of {' and '.join(names)}"
-        good = vibrometers == [names[0]] and names[1] in channels
-        self.require(good, "the active vibrometer channels", "one, against one reference", got)
-        code = cross.quantities.get(one)
+        code = cross.quantities.get(_channels_of(cross)[0])
         self.require(code == VELOCITY, "the quantity of the vibrometer", "velocity", f"code {code}")
-        mode, _, averages = _numbers("<3i", self.stream("Info/DAQ_Settings_Fft/Average"), 4)
-        got = f"mode {mode} with {averages} averages"
-        good = mode == AVERAGED_FFT and averages >= 1
-        self.require(good, "the averaging", "complex averaging of spectra", got)
-        points = self.points()
-        return Scan(
-            f"{whole[9]}.{whole[8]}",
-            cross.freq_hz,
-            points,
-            self.records(cross, "<c8", len(points)),
-            self.records(own, "<f4", len(points)).real,
-            self.records(reference, "<f4", len(points)).real,
-            channels[names[0]][0],
-            cross.quantities.get(other, 0),
-            names,
-            averages,
-        )
+        return cross, own, other
 
     def medium(self, folder: str) -> Medium:
         """Read what a medium holds: its formula, channels, quantities and frequencies."""
@@ -252,26 +199,37 @@ class _File:
         quantities = {channel: code for code, _, channel in triples}
         return Medium(folder, formula, names, quantities, first + step * np.arange(lines))
 
-    def channels(self) -> dict[str, tuple[int, bool]]:
-        """Return the active channels by short name: code of the direction, whether it is a vibrometer.
+    def direction(self, names: tuple[str, str], notices: list[Notice]) -> Array:
+        """Return the direction (3,) of the one active vibrometer, NaN where its code is not known.
 
         A channel: version (int), a number (double), direction (int), further numbers, at byte 107 short and
         long name, then an int and three flags (the second says active, the third vibrometer), and further
         numbers.
         """
         content = self.stream("Info/DAQ_Settings_Fft/Channels")
-        at, found = 8, dict[str, tuple[int, bool]]()
+        at, active, heads = 8, list[str](), dict[str, int]()
         for _ in range(_numbers("<i", content, 4)[0]):
-            version, _, direction = _numbers("<idi", content, at)
+            version, _, code = _numbers("<idi", content, at)
             short, behind = _text(content, at + _NAMES_AT)
             _, behind = _text(content, behind)
-            active, vibrometer = content[behind + 5], content[behind + 6]
-            good = version == 11 and active <= 1 and vibrometer <= 1
+            flags = content[behind + 5], content[behind + 6]
+            good = version == 11 and max(flags) <= 1
             self.require(good, "the layout of a channel", "version 11", f"version {version}")
-            if active:
-                found[short] = (direction, bool(vibrometer))
+            active += [short] * flags[0]
+            heads |= {short: code} if all(flags) else {}
             at = behind + _BEHIND_NAMES
-        return found
+        got = f"{', '.join(heads)}; spectra of {' and '.join(names)}"
+        good = [*heads] == [names[0]] and names[1] in active
+        self.require(good, "the active vibrometer channels", "one, against one reference", got)
+        code = heads[names[0]]
+        if code in DIRECTIONS and code not in CHECKED_DIRECTIONS:
+            text = (
+                f"the direction of channel {names[0]} in {self.name} has the code {code}, read as "
+                f"{DIRECTIONS[code]} by the order of the codes 2 to 4 that exports confirm: compare it with "
+                "the direction that the PSV program shows."
+            )
+            notices.append(Notice("axes_assumed", text))
+        return np.array(DIRECTIONS.get(code, unknown_vector()), dtype=float)
 
     def points(self) -> Array:
         """Return the coordinates of the points, (p, 3), m; NaN where all are zero."""
@@ -306,6 +264,12 @@ class _File:
             self.require(good, f"a record of {medium.formula}", f"of {lines} lines", got)
             values[point] = np.frombuffer(part, kind, lines, _RECORD_HEAD)
         return values
+
+
+def _channels_of(cross: Medium) -> tuple[int, int]:
+    """Return the numbers of vibrometer and reference of a cross power."""
+    one, two = re.findall(r"\d+", cross.formula)
+    return int(one), int(two)
 
 
 def _numbers(form: str, content: bytes, at: int) -> tuple[Any, ...]:

@@ -28,21 +28,10 @@ _LEAST_REFERENCE = 1e-3  # share of the largest line from which a line of a peri
 
 @dataclass(frozen=True)
 class Frf:
-    """Frequency responses of several channels to one reference.
+    """Frequency responses (channel, freq) to one reference, e^{+iwt}, with the sd of their real parts.
 
-    Attributes
-    ----------
-    freq_hz : ndarray, (freq,)
-        Ascending, positive.
-    value : ndarray, (channel, freq), complex
-        Unit of the response over unit of the reference, e^{+iwt}.
-    sd : ndarray, (channel, freq)
-        Standard deviation of the real (= imaginary) part.
-    coherence : ndarray, (channel, freq)
-    n_avg : float
-        Effective number of independent averages.
-    line_spread : float
-        By what factor the variance of slowly varying sums over lines exceeds that of independent lines.
+    ``n_avg`` is the effective number of independent averages, ``line_spread`` the factor by which the
+    variance of slowly varying sums over lines exceeds that of independent lines.
     """
 
     freq_hz: Array
@@ -66,16 +55,9 @@ def effective_averages(segments: int) -> float:
 def welch_frf(
     reference: Array, responses: Array, sample_rate_hz: float, segments: int, where: str = ""
 ) -> Frf:
-    """Estimate H1 of random or transient excitation.
+    """Estimate H1 of random or transient excitation from so many segments, overlapping by half.
 
-    Parameters
-    ----------
-    reference : ndarray, (sample,)
-    responses : ndarray, (channel, sample)
-    segments : int
-        Into so many segments, overlapping by half, the record is divided.
-    where : str
-        Place for messages.
+    ``reference`` is (sample,), ``responses`` (channel, sample), ``where`` the place for messages.
 
     Raises
     ------

@@ -3,7 +3,7 @@
 import h5py
 import numpy as np
 import pytest
-from scipy.io import savemat, wavfile
+from scipy.io import savemat
 
 from kinematics.readers.facts import FileFacts
 from kinematics.readers.formats import read_file
@@ -129,30 +129,22 @@ def channels(folder, rows, name="channels.csv"):
 LISTED = ("a,response,stapes,1,z,mm/s,2", "b,response,stapes,2,z,mm/s,2", "d,reference,,,,V,")
 
 
-@pytest.mark.parametrize("kind", ["npz", "csv", "mat", "wav"])
+@pytest.mark.parametrize("kind", ["npz", "csv", "mat"])
 def test_series_of_every_kind_of_file(kind, tmp_path):
     time, drive, responses, freq, truth = multisine()
     path = tmp_path / f"a.{kind}"
     names = {"a": responses[0], "b": responses[1], "d": drive}
-    listed, scale, tolerance = LISTED, 1.0, 1e-9
     if kind == "npz":
         np.savez(path, sample_rate_hz=8000.0, **names)
     elif kind == "mat":
         savemat(path, {"fs": 8000.0, **names})
-    elif kind == "wav":
-        scale = 1.0 / np.max(np.abs([*responses, drive]))
-        wavfile.write(path, 8000, (scale * np.array([*responses, drive])).T.astype(np.float32))
-        listed, tolerance = (
-            [row.replace(old, new, 1) for row, old, new in zip(LISTED, "abd", "123", strict=True)],
-            1e-4,
-        )
     else:
         rows = [",".join(f"{v:.15g}" for v in row) for row in zip(time, *responses, drive, strict=True)]
         path.write_text("\n".join(["time_s,a,b,d", *rows]) + "\n", encoding="utf-8")
-    facts = FileFacts(channels=channels(tmp_path, listed), period_s=0.1)
+    facts = FileFacts(channels=channels(tmp_path, LISTED), period_s=0.1)
     recording = read_file(path, facts)
     assert np.allclose(recording.freq_hz, freq)
-    assert np.allclose(recording.value, 2e-3 * truth, atol=tolerance)
+    assert np.allclose(recording.value, 2e-3 * truth, atol=1e-9)
     assert (recording.reference, recording.quantity) == ("V", "velocity")
 
 

@@ -242,11 +242,10 @@ def _series(folder):
     turning = np.exp(2j * np.pi * FREQ_HZ[:, None] * time)
     signals = {f"c{k}": (value @ turning).real for k, value in enumerate(VELOCITY.reshape(9, -1))}
     np.savez(folder / "a.npz", time_s=time, drive=np.sum(turning.real, axis=0), **signals)
-    rows = ["channel,role,body,point,dir_x,dir_y,dir_z,unit,x_mm,y_mm,z_mm", "drive,reference,,,,,,V,,,"]
+    rows = ["channel,role,body,point,dir,unit,x_mm,y_mm,z_mm", "drive,reference,,,,V,,,"]
     for k in range(9):
-        numbers = ",".join(f"{v:g}" for v in np.eye(3)[k % 3])
         place = ",".join(f"{1e3 * v:g}" for v in PLACES_M[k // 3])
-        rows.append(f"c{k},response,stapes,{1 + k // 3},{numbers},m/s,{place}")
+        rows.append(f"c{k},response,stapes,{1 + k // 3},{'xyz'[k % 3]},m/s,{place}")
     (folder / "channels.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
     return folder / "a.npz", FileFacts(channels=folder / "channels.csv", period_s=0.02)
 
