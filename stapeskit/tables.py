@@ -249,7 +249,11 @@ def _read_alike(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table | No
     empty = np.all([np.isnan(column) for column in values.values()], axis=0)
     if len(frame) != len(last_of_row) or np.any(empty):  # a return within a row; perhaps an empty row
         return None
-    words = {name: _encode(frame[name]) for name in texts}
+    words = {}
+    for name in texts:
+        codes, different = pd.factorize(frame[name])
+        encoded = _encode(different)
+        words[name] = TextColumn(encoded.codes[codes], encoded.names)
     return Table(sheet.file, values, words, sheet.line + np.arange(len(frame), dtype=np.int64))
 
 

@@ -158,7 +158,8 @@ def _rows_of(table: Table, columns: Columns, faults: list[Fault]) -> list[Row]:
     """Return a row for every body, point, run, repeat, direction and position; each has its own lines."""
     numbers = table.numbers
     keys: list[NDArray[Any]] = [column.codes for column in table.texts.values()]
-    keys += [numbers[name] for name in (*DIRECTION, *POSITION) if name in numbers]
+    keys += [numbers[name] for name in DIRECTION if name in numbers]
+    keys += [np.round(numbers[name], 6) for name in POSITION if name in numbers]  # digits of spreadsheets
     group, first = _numbered(keys)
     check_filled(len(first), len(np.unique(numbers["freq_hz"])), len(table), table.file)
     order = np.lexsort((numbers["freq_hz"], group))
