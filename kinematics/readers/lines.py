@@ -37,20 +37,20 @@ def common_grid(grids: Sequence[Array]) -> tuple[Array, list[Index], list[Notice
     freq = np.concatenate([*different.values()])
     order = np.argsort(freq, kind="stable")
     limit = np.concatenate([_joined_within(grid) for grid in different.values()])[order]
-    apart = np.diff(freq[order])
-    joined = apart <= np.minimum(limit[1:], limit[:-1])
+    new = np.diff(freq[order]) > np.minimum(limit[1:], limit[:-1])
     line = np.empty(len(freq), dtype=np.intp)
-    line[order] = np.concatenate([[0], np.cumsum(~joined)])
-    first = np.unique(line, return_index=True)[1]
+    line[order] = np.concatenate([[0], np.cumsum(new)])
+    lines = freq[np.unique(line, return_index=True)[1]]
     ends = np.cumsum([len(grid) for grid in different.values()])[:-1]
     places = dict(zip(different, np.split(line, ends), strict=True))
-    widest = float(np.max(apart[joined & (apart > SAME_LINE * freq[order][1:])], initial=0.0))
+    apart = np.abs(freq - lines[line])
+    widest = float(np.max(apart[apart > SAME_LINE * freq], initial=0.0))
     text = (
         f"frequencies that differ by up to {widest:.2g} Hz between channels were taken as one line (within "
         "1 % of the line spacing and 1e-4 of the frequency)."
     )
     notices = [Notice("file_read", text)] if widest > 0.0 else []
-    return freq[first], [places[key] for key in keys], notices
+    return lines, [places[key] for key in keys], notices
 
 
 def _joined_within(grid: Array) -> Array:
