@@ -24,6 +24,9 @@ from stapeskit.warnings import Notice
 
 _SAME_GRID = 0.05  # voxels between grids that are one: rounding of origins, not half a voxel of conventions
 _DRAWN_VOXELS = 3.0  # how far off the surface a label may be drawn
+_ON_BONE = 0.85  # of a drawn body that is bone, or of the bone there that it holds: one of the two is more
+_BESIDE_VOXELS, _MORE_BONE = 2, 0.1  # a shift, and the share of bone that it gains, which no drawing has
+_PLACES = 20_000  # voxels of a label that are looked at: shares are known to 0.3 %
 _MARGIN_VOXELS = 8  # around labels alone: room to smooth their surface
 _CUT = 0.8  # of the layer before: a flat end is as wide as what it cuts
 _SINGLE = np.ones(3, dtype=np.int64)
@@ -117,6 +120,7 @@ def _on_scan(drawn: Drawn, grid: Grid, scan: Scan, overview: Overview, notices: 
     local = box.taken(drawn, grid)
     air, bone = _levels(box, local)
     middle = 0.5 * (air + bone)
+    _check_place(box, local, box.grey > np.float32(middle))
     plastic_mask = local == PLATE
     plastic = float(np.median(box.grey[plastic_mask])) if plastic_mask.any() else None
     region = drawn_plate(drawn == PLATE, grid)
@@ -174,6 +178,50 @@ def _in_words(scan: Scan) -> str:
     size = " x ".join(map(str, scan.size))
     spacing = " x ".join(f"{v:.6g}" for v in scan.spacing_mm)
     return f"{size} voxels of {spacing} mm from {', '.join(f'{v:.6g}' for v in scan.origin_mm)}"
+
+
+def _check_place(box: Box, local: Drawn, bright: Mask) -> None:
+    """Refuse labels that lie beside their bone, as those of a crop that has lost its place do.
+
+    Labels drawn too large or too small hold all of the bone, or nothing else; where neither is true the shift
+    is looked for at which they hold most bone, step by step.
+
+    Raises
+    ------
+    StapeskitError
+        They hold clearly more bone elsewhere.
+    """
+    stapes = local == STAPES
+    held = np.count_nonzero(stapes & bright)
+    around = stapes
+    for _ in range(int(_DRAWN_VOXELS)):
+        around = grown(around)
+    near = np.count_nonzero(around & bright & ((local == 0) | stapes))
+    if held > _ON_BONE * min(np.count_nonzero(stapes), near):
+        return
+    places = np.argwhere(stapes)
+    places = places[:: max(1, len(places) // _PLACES)]
+
+    def share(shift: NDArray[np.int64]) -> float:
+        moved = places + shift
+        inside = np.all((moved >= 0) & (moved < bright.shape), axis=1)
+        return float(np.count_nonzero(bright[tuple(moved[inside].T)])) / len(places)
+
+    shift = np.zeros(3, dtype=np.int64)
+    sides = np.vstack([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
+    for step in (8, 4, 2, 1):
+        while share(best := max((shift + step * side for side in sides), key=share)) > share(shift):
+            shift = best
+    here, there = share(np.zeros(3, dtype=np.int64)), share(shift)
+    if np.abs(shift).max() >= _BESIDE_VOXELS and there > here + _MORE_BONE:
+        way = ", ".join(f"{value:+.3g}" for value in shift[::-1] * box.spacing_mm)
+        raise StapeskitError.of(
+            "the stapes of the label volume",
+            "on the bone of the scan",
+            f"{100.0 * here:.0f} % of its voxels on bone; moved by {way} mm along x, y, z of the grid it "
+            f"would be {100.0 * there:.0f} %",
+            next_step="Save the labels with their origin, on the grid of the scan",
+        )
 
 
 def _levels(box: Box, local: Drawn) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_dilation, binary_erosion
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES
 from ct_inertia.find.find import find_stapes
@@ -89,6 +90,22 @@ def test_a_crop_of_the_labels_lies_where_it_was_cut():
     with pytest.raises(StapeskitError) as error:
         label_stapes(moved, scan)
     assert error.value.faults[0].thing == "the label volume"
+
+
+def test_labels_beside_their_bone_are_refused_with_the_way_back_and_sloppy_ones_are_not():
+    scan, placed, labels, _ = drawn()
+    exact = true_moments(placed)
+    stapes = (labels == STAPES).astype(np.uint8)
+    for shift in ((5, 0, 0), (0, -4, 3)):
+        with pytest.raises(StapeskitError) as caught:
+            label_stapes(Scan.from_array(np.roll(stapes, shift, axis=(0, 1, 2)), scan.spacing_mm), scan)
+        way = [-s * d for s, d in zip(shift[::-1], scan.spacing_mm, strict=True)]
+        said = caught.value.faults[0].got.split("moved by ")[1].split(" mm")[0]
+        assert [float(part) for part in said.split(",")] == pytest.approx(way, abs=1.5 * scan.spacing_mm[0])
+    for other in (binary_dilation(stapes, iterations=2), binary_erosion(stapes)):
+        labelled = label_stapes(Scan.from_array(other.astype(np.uint8), scan.spacing_mm), scan)
+        found = measure(labelled).moments
+        assert abs(found.volume_mm3 - exact.volume_mm3) < 4.0 * found.volume_sd_mm3
 
 
 def test_labels_alone_are_known_to_a_part_of_a_voxel():
