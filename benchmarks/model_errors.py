@@ -143,7 +143,8 @@ def causes(ears: int) -> None:
         return [label, *counts, error, percent(outside, 0)]
 
     print_table(("error", "warned", "named first", "largest error, %", "outside 95 %"), map(row, cases))
-    print(f"{ears} ears each. Named first: {total} of {ears * len(cases)}.\n")
+    print(f"{ears} ears each; errors as long as the cause is not in the model.", end=" ")
+    print(f"Named first: {total} of {ears * len(cases)}.\n")
 
 
 TABLES = {"intervals": intervals, "alarms": alarms, "causes": causes}

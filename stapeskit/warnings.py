@@ -97,12 +97,14 @@ def page() -> str:
         "",
         "Each has a stable code and a text with the numbers of the case, on the terminal, the page and in",
         'the JSON results (`"warnings": [{"code", "text"}]`), and travels with the results of its step.',
-        "Verdicts: `information` (use the numbers), `check` (look first), `do not use`.",
+        "Verdicts: `information` (use the numbers), `do not use`, else `check` (look first).",
     ]
     for room, command in ROOMS.items():
         entries = sorted((code, entry) for code, entry in table().items() if entry.room == room)
-        lines += ["", f"## {command}", "", "| code | meaning | what to do | verdict |", "|---|---|---|---|"]
-        lines += [f"| `{code}` | {e.meaning} | {e.what_to_do} | {e.verdict} |" for code, e in entries]
+        lines += ["", f"## {command}", "", "| code | meaning | what to do | verdict |", "|-|-|-|-|"]
+        for code, entry in entries:
+            verdict = "" if entry.verdict == "check" else entry.verdict
+            lines.append(f"| `{code}` | {entry.meaning} | {entry.what_to_do} | {verdict} |")
     return "\n".join(lines) + "\n"
 
 
