@@ -43,12 +43,21 @@ from simulate.faults import KINDS, MeasurementFault
 from simulate.files.recordings import write_recording
 from simulate.files.volumes import write_labels, write_scan
 from simulate.footplate import footplate_frame
-from simulate.ligament import LAWS, Ligament, Ring, damped_alike, draw_ring, ring_ligament, stapes_motion
+from simulate.ligament import (
+    LAWS,
+    Ligament,
+    Ring,
+    base_motion,
+    damped_alike,
+    draw_ring,
+    resonant_motion,
+    ring_ligament,
+    stapes_motion,
+)
 from simulate.mass import MassProperties, point_mass, uniform_mass
 from simulate.motion import motion_of
 from simulate.points import scattered_points
 from simulate.scanner import Scan, render
-from simulate.shaker import base_motion, resonant_motion
 from simulate.solids import Moments, Solid, box, ellipsoid, ring, rod
 from simulate.stapes import STAPES, Stapes, stapes_solid
 from simulate.study import Truth, simulate_recording, simulate_study, simulate_truth

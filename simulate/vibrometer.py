@@ -12,9 +12,8 @@ import numpy as np
 
 from simulate.ear import Ear
 from simulate.faults import MeasurementFault, TrueState, apply_fault
-from simulate.ligament import stapes_motion
+from simulate.ligament import base_motion, stapes_motion
 from simulate.points import bone_points, visible_points
-from simulate.shaker import base_motion
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import RigidTransform, rotation_from_vector
 
