@@ -214,14 +214,13 @@ def _check_place(box: Box, local: Drawn, bright: Mask) -> None:
             shift = best
     here, there = share(np.zeros(3, dtype=np.int64)), share(shift)
     if np.abs(shift).max() >= _BESIDE_VOXELS and there > here + _MORE_BONE:
-        way = ", ".join(f"{value:+.3g}" for value in shift[::-1] * box.spacing_mm)
-        raise StapeskitError.of(
-            "the stapes of the label volume",
-            "on the bone of the scan",
-            f"{100.0 * here:.0f} % of its voxels on bone; moved by {way} mm along x, y, z of the grid it "
-            f"would be {100.0 * there:.0f} %",
-            next_step="Save the labels with their origin, on the grid of the scan",
-        )
+        got = f"{100.0 * here:.0f} % of its voxels on bone"
+        if there > _ON_BONE:  # else the bone is too far to tell the way
+            way = ", ".join(f"{value:+.3g}" for value in shift[::-1] * box.spacing_mm)
+            got += f"; moved by {way} mm along x, y, z of the grid it would be {100.0 * there:.0f} %"
+        step = "Save the labels with their origin, on the grid of the scan"
+        thing = "the stapes of the label volume"
+        raise StapeskitError.of(thing, "on the bone of the scan", got, next_step=step)
 
 
 def _levels(box: Box, local: Drawn) -> tuple[float, float]:
