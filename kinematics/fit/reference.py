@@ -58,13 +58,11 @@ def per_reference(motion: RigidMotion, reference: str) -> RigidMotion:
 
     Notes
     -----
-    H = q / q_ref is holomorphic: dH = (dq - H dq_ref) / q_ref, so that the covariance is J C J^H; noise
-    common to all motions of a line cancels. To second order, an error n of the reference r makes
+    H = q / q_ref is holomorphic: dH = (dq - H dq_ref) / q_ref, so that the covariance is J C J^H. To second
+    order, an error n of the reference r makes
     n / r (1 - n / r) of the ratio, whose mean square is larger by 1 + 2 var(n) / |r|^2.
     """
     body, place = parse_reference(reference, motion.bodies, motion.dof)
-    if motion.common_sd is not None:
-        motion = motion.with_common_noise(np.zeros(1))
     runs, bodies, lines, n = motion.q.shape
     ref = motion.q[:, body, :, place]
     covariance = np.empty((runs, lines, bodies * n, bodies * n), dtype=complex)

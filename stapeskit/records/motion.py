@@ -133,7 +133,7 @@ def _write_h5(path: Path, motion: RigidMotion, csv_hash: str) -> None:
         file.attrs["provenance"] = json.dumps(dict(motion.provenance))
         for name in ("runs", "bodies", "dof"):
             file[name] = np.array(getattr(motion, name), dtype=h5py.string_dtype())
-        for name in ("freq_hz", "q", "covariance", *_FURTHER, "common_sd"):
+        for name in ("freq_hz", "q", "covariance", *_FURTHER):
             _store(file, name, getattr(motion, name))
         if motion.shared is not None:
             group = file.create_group("shared")
@@ -213,7 +213,7 @@ def _motion_from_h5(file: Any) -> RigidMotion:
         words(file["runs"]),
         words(file["bodies"]),
         words(file["dof"]),
-        **stored(file, "freq_hz", "q", "covariance", *_FURTHER, "common_sd"),
+        **stored(file, "freq_hz", "q", "covariance", *_FURTHER),
         reference=str(file.attrs["reference"]),
         about=str(file.attrs["about"]),
         axes=str(file.attrs["axes"]),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -84,9 +84,6 @@ class RigidMotion:
         Warnings that travel with the data.
     provenance : mapping
         Block of `stapeskit.provenance.record`.
-    common_sd : ndarray, (run, freq), or None
-        Standard deviation of the real (= imaginary) part of a relative error that all motions of a line
-        share: noise of the signal that the readings refer to. ``covariance`` contains it as 2 s^2 q q^H.
 
     Raises
     ------
@@ -108,7 +105,6 @@ class RigidMotion:
     shared: SharedErrors | None = None
     notices: tuple[Notice, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    common_sd: Array | None = None
 
     def __post_init__(self) -> None:
         runs, bodies, lines, dof = len(self.runs), len(self.bodies), len(self.freq_hz), len(self.dof)
@@ -120,8 +116,6 @@ class RigidMotion:
             "chi2": (self.chi2.shape, (runs, bodies, lines)),
             "n_dof": (self.n_dof.shape, (runs, bodies, lines)),
         }
-        if self.common_sd is not None:
-            wanted["common_sd"] = (self.common_sd.shape, (runs, lines))
         if self.shared is not None:
             derivatives = self.shared.derivatives.shape
             wanted["the derivatives"] = (derivatives[1:], (runs, bodies, lines, dof))
@@ -164,25 +158,6 @@ class RigidMotion:
             raise StapeskitError.of("the body", f"one of {', '.join(self.bodies)}", name, next_step=step)
         return self.bodies.index(name)
 
-    def with_common_noise(self, sd: Array) -> RigidMotion:
-        """Return absolute motion with another relative error common to all motions of a line.
-
-        Parameters
-        ----------
-        sd : ndarray, broadcastable to (run, freq)
-            Standard deviation of its real (= imaginary) part; 0 removes such an error.
-
-        Notes
-        -----
-        q (1 + e) with E|e|^2 = 2 s^2 adds 2 s^2 q q^H to the covariance of all bodies together, and nothing
-        to residuals, chi2 or ratios of motions.
-        """
-        new = np.broadcast_to(np.asarray(sd, dtype=float), (len(self.runs), len(self.freq_hz)))
-        old = np.zeros(new.shape) if self.common_sd is None else self.common_sd
-        change = 2.0 * (new**2 - old**2)[:, None, :, None, None]
-        covariance = self.covariance + change * self.q[..., :, None] * self.q[..., None, :].conj()
-        return replace(self, covariance=covariance, common_sd=new.copy() if np.any(new > 0.0) else None)
-
     def pair(self, run: int, first: int, second: int) -> tuple[ComplexArray, ComplexArray]:
         """Return the stacked motion of two bodies and its joint covariance.
 
@@ -199,7 +174,4 @@ class RigidMotion:
         joint = np.zeros((len(self.freq_hz), 2 * n, 2 * n), dtype=complex)
         joint[:, :n, :n] = self.covariance[run, first]
         joint[:, n:, n:] = self.covariance[run, second]
-        if self.common_sd is not None:
-            across = 2.0 * self.common_sd[run][:, None, None] ** 2 * q[:, :n, None] * q[:, None, n:].conj()
-            joint[:, :n, n:], joint[:, n:, :n] = across, across.conj().transpose(0, 2, 1)
         return q, joint

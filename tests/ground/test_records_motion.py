@@ -45,7 +45,6 @@ def motion() -> RigidMotion:
         shared=shared,
         notices=(Notice("a", "b"),),
         provenance={"command": "points2dof x"},
-        common_sd=np.full((2, 5), 0.01),
     )
 
 
@@ -56,7 +55,7 @@ def per_reference(motion: RigidMotion) -> RigidMotion:
     joint = np.zeros((2, 5, 6, 6), dtype=complex)
     joint[..., :3, :3], joint[..., 3:, 3:] = motion.covariance[:, 0], motion.covariance[:, 1]
     joint[..., 3, :] = joint[..., :, 3] = 0.0
-    return replace(motion, q=q, covariance=joint, reference="base:y", shared=None, common_sd=None)
+    return replace(motion, q=q, covariance=joint, reference="base:y", shared=None)
 
 
 def assert_same_rows(one: RigidMotion, two: RigidMotion) -> None:
@@ -76,7 +75,7 @@ def test_both_files_read_back_whole(tmp_path, motion):
     for path in write_motion(tmp_path, "dof", motion):
         read = read_motion(path)
         assert_same_rows(read, motion)
-        for name in ("covariance", "chi2", "n_dof", "common_sd"):
+        for name in ("covariance", "chi2", "n_dof"):
             assert np.array_equal(getattr(read, name), getattr(motion, name), equal_nan=True)
         for name in ("names", "covariance", "derivatives", "maps", "powers"):
             stored, written = (np.asarray(getattr(m.shared, name)) for m in (read, motion))
@@ -208,7 +207,6 @@ def test_cut_hdf5_files_are_refused(tmp_path, motion):
 @pytest.mark.parametrize(("change", "thing"), [
     ({"chi2": np.zeros(3)}, "the shape of chi2"),
     ({"n_dof": np.zeros((2, 2, 4))}, "the shape of n_dof"),
-    ({"common_sd": np.zeros(5)}, "the shape of common_sd"),
     ({"covariance": np.zeros((2, 5, 6, 6), complex)}, "the shape of the covariance"),
     ({"dof": ("gamma", "alpha", "y")}, "dof"),
     ({"freq_hz": np.array([1.0, 3.0, 2.0, 4.0, 5.0])}, "freq_hz"),
@@ -230,20 +228,11 @@ def test_shared_errors_check_themselves(motion):
     assert caught.value.faults[0].got == "bone"
 
 
-def test_pairs_of_bodies_share_the_noise_of_their_reference_signal(motion):
-    separate = replace(motion, common_sd=None)
-    q, covariance = separate.pair(0, 0, 1)
+def test_pairs_of_bodies_have_noise_in_common_with_a_reference_alone(motion):
+    q, covariance = motion.pair(0, 0, 1)
     assert np.array_equal(q[:, 3:], motion.q[0, 1])
     assert np.array_equal(covariance[:, 3:, 3:], motion.covariance[0, 1])
     assert not covariance[:, :3, 3:].any()
-    noisy = separate.with_common_noise(np.array(0.02))
-    q, joint = noisy.pair(0, 0, 1)
-    added = 2 * 0.02**2 * q[:, :, None] * q[:, None, :].conj()
-    assert np.allclose(joint - covariance, added, rtol=1e-9, atol=1e-32)
-    again = noisy.with_common_noise(np.array(0.0))
-    assert again.common_sd is None
-    there = np.isfinite(again.covariance)
-    assert np.allclose(again.covariance[there], motion.covariance[there], rtol=1e-9, atol=1e-32)
     responses = per_reference(motion)
     assert np.array_equal(responses.pair(1, 1, 0)[1][:, :3, :3], responses.covariance[1][:, 3:, 3:])
 
