@@ -90,7 +90,6 @@ class Study:
     scan: str
     measurement: str
     level: str
-    codes: tuple[str, ...] = ()
     numbers: tuple[tuple[float, float, float], ...] = ()
 
     @property
@@ -175,15 +174,10 @@ def one_study(folder: Path, ear: Ear, scan: Scan, seed: int, scan_name: str, wha
     write_recording(folder, simulate_recording(truth, experiment), experiment.format)
     try:
         result = scan2kd(folder / "study.toml", out=folder / "out", force=True)
-    except StapeskitError as error:
-        return Study(
-            scan=scan_name, measurement=what, level=REFUSED, codes=(error.faults[0].thing,),
-        )  # fmt: skip
-    verdict = result.fit.verdict
-    codes = tuple(dict.fromkeys(reason.code for reason in verdict.reasons))
-    return Study(
-        scan=scan_name, measurement=what, level=verdict.level, codes=codes, numbers=numbers(result, truth)
-    )
+    except StapeskitError:
+        return Study(scan=scan_name, measurement=what, level=REFUSED)
+    level = result.fit.verdict.level
+    return Study(scan=scan_name, measurement=what, level=level, numbers=numbers(result, truth))
 
 
 def numbers(result: Any, truth: Truth) -> tuple[tuple[float, float, float], ...]:
@@ -206,31 +200,25 @@ def cell(group: Sequence[Study], level: str) -> str:
     if not own or level == REFUSED:
         return f"{len(own)}" if own else ""
     useless = sum(study.useless and not study.wrong for study in own)
-    return f"{len(own)}, {sum(study.wrong for study in own)} wrong" + (
-        f", {useless} of no use" if useless else ""
-    )
-
-
-def row(title: str, group: Sequence[Study]) -> list[str]:
-    """Return a row: every verdict, followed by that of 0.2."""
-    cells = [title]
-    for level in LEVELS:
-        cells += [cell(group, level), before(BEFORE, level, title)]
-    return cells
+    last = f", {useless} of no use" if useless else ""
+    return f"{len(own)}, {sum(study.wrong for study in own)} wrong{last}"
 
 
 def report(studies: Sequence[Study]) -> None:
-    """Print how often each verdict is wrong."""
+    """Print how often each verdict is wrong, each figure followed by that of 0.2."""
     good = [study for study in studies if not SCANS[study.scan].stated]
     right = ("right", "right again")
-    head = [cell for level in LEVELS for cell in (level, "0.2")]
     groups = {
         "scan and measurement right": [s for s in good if s.scan == "good" and s.measurement in right],
         "a difficult scan": [s for s in good if s.scan != "good" and s.measurement in right],
         "an error in the measurement": [s for s in good if s.measurement not in right],
         "a wrong statement about the scan": [s for s in studies if SCANS[s.scan].stated],
     }
-    print_table(("studies", *head), (row(*group) for group in groups.items()))
+    rows = []
+    for title, group in groups.items():
+        pairs = ((cell(group, level), before(BEFORE, level, title)) for level in LEVELS)
+        rows.append([title, *(word for pair in pairs for word in pair)])
+    print_table(("studies", *(word for level in LEVELS for word in (level, "0.2"))), rows)
 
 
 if __name__ == "__main__":
