@@ -118,9 +118,10 @@ def _bright_rest(
 ) -> float | None:
     """Return the level of bone that is too thin to have interior voxels, from the brightest voxels."""
     total = np.cumsum(histogram)
-    base = float(np.median(grey))
     if total.size and total[-1]:
         base = low + (float(np.searchsorted(total, 0.999 * total[-1])) + 0.5) * width
+    else:
+        base = float(np.median(grey))
     bright = grey[grey > np.float32(base + 8.0 * noise)]
     return float(np.percentile(bright, 90)) if bright.size * voxel_mm3 >= 0.05 else None
 

@@ -29,16 +29,8 @@ _THREADS_FROM = 5  # planes; fewer are read sooner than a thread starts
 class RawLayout:
     """How voxels lie in a file without a header.
 
-    Attributes
-    ----------
-    shape : tuple of 3 int
-        Voxels along x, y, z; x runs fastest.
-    dtype : str
-        As numpy calls it, ``uint16``.
-    byte_order : str
-        ``little`` or ``big``.
-    header_bytes : int
-        Bytes before the first voxel.
+    ``shape`` along x, y, z, of which x runs fastest; ``dtype`` as numpy calls it, ``uint16``; ``byte_order``
+    ``little`` or ``big``; ``header_bytes`` before the first voxel.
     """
 
     shape: tuple[int, ...]

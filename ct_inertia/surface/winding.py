@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.surface.contour import contour
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 
@@ -42,24 +43,19 @@ def winding_surface(
     A. Jacobson, L. Kavan, O. Sorkine-Hornung, ACM Trans. Graph. 32 (2013), doi:10.1145/2461912.2461916; faces
     far away as dipoles: G. Barill et al., ACM Trans. Graph. 37 (2018), doi:10.1145/3197517.3201337.
     """
-    import pyvista
-
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     step = float((high - low).max()) / _CELLS
     count = np.ceil((high - low) / step).astype(int) + 1 + 2 * _MARGIN
-    origin = low - (_MARGIN + 0.5) * step  # no plane of grid points lies in a flat side
-    axes = [origin[k] + step * np.arange(count[k]) for k in range(3)]
-    z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
-    points = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
-    number = np.abs(winding_number(vertices, faces, points))
-    grid = pyvista.ImageData(dimensions=count, spacing=(step,) * 3, origin=origin)
-    grid.point_data["winding"] = np.clip(number, 0.0, 1.0)
-    surface = grid.contour([0.5], scalars="winding", method="flying_edges").triangulate()
-    if not surface.n_cells:
+    scan_from_index = np.diag([step, step, step, 1.0])
+    scan_from_index[:3, 3] = low - (_MARGIN + 0.5) * step  # no plane of grid points lies in a flat side
+    index = np.indices(count[::-1]).reshape(3, -1)[::-1].T
+    points = index * step + scan_from_index[:3, 3]
+    field = np.minimum(np.abs(winding_number(vertices, faces, points)), 1.0).astype(np.float32)
+    if not np.any(field > 0.5):
         step_text = "Export it again as one closed surface"
         raise StapeskitError.of("the surface", "one that encloses a volume", "open pieces", name, step_text)
-    triangles = np.asarray(surface.faces.reshape(-1, 4)[:, 1:], dtype=np.int64)
-    return np.asarray(surface.points, dtype=float), triangles, step
+    surface = contour(field.reshape(count[::-1]), scan_from_index, 0.5, largest=False)
+    return surface.vertices_mm, surface.faces, step
 
 
 def winding_number(vertices: Array, faces: NDArray[np.int64], points: Array) -> Array:
