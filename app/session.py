@@ -17,8 +17,8 @@ from app.study_file import StudyFile, check_unchanged, stamp
 from app.work import mass_folder
 from ct_inertia.scan.scan import Scan
 from pipeline.new_study import ASSUMED_DENSITY, look
+from stapeskit.documents import read_json
 from stapeskit.faults import StapeskitError
-from stapeskit.records.json_files import read_json
 
 LABELS = "labels.seg.nrrd"
 MEASUREMENTS = (".csv", ".txt", ".uff", ".unv", ".mat", ".h5", ".hdf5", ".svd")

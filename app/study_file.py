@@ -12,9 +12,9 @@ import tomlkit
 
 from ct_inertia.options import MassOptions
 from pipeline.study import TABLES
+from stapeskit.documents import read_json
 from stapeskit.faults import StapeskitError
 from stapeskit.options import read_toml
-from stapeskit.records.json_files import read_json
 
 SEARCH = ("labels", "threshold", "seed_mm", "box_mm")
 """Keys of [scan] that the stapes is sought by; labels that are drawn take their place."""

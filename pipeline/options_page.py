@@ -38,7 +38,7 @@ def options_page() -> str:
         lines += ["", f"## {command}"]
         for table in tables:
             where = f"Keys of `[{table.table}]` in a study file:" if table.table else "Not in a study file:"
-            lines += ["", where, "", markdown_table([table], table is not About, COMMON).rstrip()]
+            lines += ["", where, "", markdown_table(table, table is not About, COMMON).rstrip()]
     return "\n".join(lines) + "\n"
 
 

@@ -46,18 +46,8 @@ _PLACES = {
     "Notice": "stapeskit.warnings",
 }
 
-__all__ = [
-    "Notice",
-    "RigidTransform",
-    "StapeskitError",
-    "cohort",
-    "ct2mass",
-    "dof2kd",
-    "points2dof",
-    "read_vibrometer",
-    "scan2kd",
-]
-
+__all__ = ["Notice", "RigidTransform", "StapeskitError", "cohort", "ct2mass", "dof2kd", "points2dof",
+           "read_vibrometer", "scan2kd"]  # fmt: skip
 
 _FOLDER = str(Path(__file__).resolve().parents[1])
 _ROOMS = frozenset({"ct_inertia", "kinematics", "fitting", "pipeline", "simulate"})

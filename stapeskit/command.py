@@ -5,6 +5,7 @@ Exit 0 done, 2 the input or the system is at fault, 1 a bug in stapeskit, 130 in
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -29,22 +30,9 @@ _CLEAR = "\r\x1b[2K"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command reports.
+    """What a command reports: the numbers that a reader looks for first, or with ``json`` its content.
 
-    Attributes
-    ----------
-    title : str
-        Heading of the table.
-    rows : sequence of (str, str)
-        Names and texts of the numbers that a reader looks for first.
-    notices : sequence of Notice
-        Warnings; they go to standard error.
-    files : sequence of Path
-        Files that were written.
-    content : dict
-        The whole result, for ``--json``.
-    json, quiet : bool
-        Print the content instead of the table; print nothing.
+    Warnings go to standard error; ``files`` were written; ``quiet`` prints nothing.
     """
 
     title: str
@@ -67,14 +55,12 @@ def run(prog: str, work: Callable[[list[str]], Outcome | None]) -> NoReturn:
         Takes the words of the command line; returns the outcome, or None when it has printed already.
     """
     import gc
-    import os
     import signal
     import warnings
 
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(
-            name, "1"
-        )  # small matrices: threads that wait for each other cost more than they bring
+        # small matrices: threads that wait for each other cost more than they bring
+        os.environ.setdefault(name, "1")
     gc.set_threshold(20_000)  # looking for cycles among objects that live on took a tenth of a command
     if not sys.warnoptions:  # warnings of libraries are no warnings of ours: those have a code and a sentence
         warnings.simplefilter("ignore")
@@ -84,38 +70,31 @@ def run(prog: str, work: Callable[[list[str]], Outcome | None]) -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
-    raise SystemExit(_exit_code(prog, work))
-
-
-def _interrupt(_number: int, _frame: object) -> None:
-    raise KeyboardInterrupt
-
-
-def _exit_code(prog: str, work: Callable[[list[str]], Outcome | None]) -> int:
+    code = 0
     try:
         outcome = work(sys.argv[1:])
         if outcome is not None:
             show(outcome)
         sys.stdout.flush()
-        return 0
     except BrokenPipeError:  # the reader of the output has left, as in "| head"
-        import os
-
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except KeyboardInterrupt:
+        code = 130
         sys.stderr.write(f"{prog}: interrupted; no output was changed.\n")
-        return 130
     except Exception as error:
         sentence = fault_sentence(error)
-        if sentence is not None:
-            sys.stderr.write(printable(f"{sentence}\n"))
-            return 2
-        import traceback
+        code = 1 if sentence is None else 2
+        if sentence is None:
+            import traceback
 
-        traceback.print_exc()
-        sys.stderr.write(f"{prog}: this is a bug in stapeskit; please report it with the lines above.\n")
-        return 1
+            traceback.print_exc()
+            sentence = f"{prog}: this is a bug in stapeskit; please report it with the lines above."
+        sys.stderr.write(printable(f"{sentence}\n"))
+    raise SystemExit(code)
+
+
+def _interrupt(_number: int, _frame: object) -> None:
+    raise KeyboardInterrupt
 
 
 def fault_sentence(error: Exception) -> str | None:
@@ -128,8 +107,6 @@ def fault_sentence(error: Exception) -> str | None:
         step = "Crop the scan with --box, or close other programs"
         return str(Fault("memory", "enough for this input", "too little", "", step))
     if isinstance(error, OSError) and error.errno is not None:
-        import os
-
         name = error.filename if isinstance(error.filename, str | bytes) else "a file or device"
         step = "Check permissions and free space, or choose another place with --out"
         expected = "readable, or writable where it is an output"
@@ -153,10 +130,10 @@ def show(outcome: Outcome) -> None:
 
         sys.stdout.write(json.dumps(outcome.content, indent=1) + "\n")
     elif not outcome.quiet:
-        width = max((len(name) for name, _ in outcome.rows), default=0)
-        lines = [outcome.title, *(f"  {name:<{width}}  {text}" for name, text in outcome.rows)]
-        if outcome.files:
-            lines.append(f"  {'written':<{width}}  " + ", ".join(str(path) for path in outcome.files))
+        written = [("written", ", ".join(map(str, outcome.files)))] if outcome.files else []
+        rows = [*outcome.rows, *written]
+        width = max((len(name) for name, _ in rows), default=0)
+        lines = [outcome.title, *(f"  {name:<{width}}  {text}" for name, text in rows)]
         sys.stdout.write(printable("\n".join(lines) + "\n"))
 
 
@@ -166,7 +143,7 @@ def no_progress(stage: str, share: float | None = None) -> None:
 
 @contextmanager
 def progress_line(shown: bool = True) -> Iterator[Progress]:
-    """Yield a function that shows stage, share and time left in one line of standard error.
+    """Yield a function that shows time, stage and share in one line of standard error.
 
     Nothing is shown unless ``shown`` and standard error is a terminal; the line is wiped when the block ends.
     """
@@ -175,15 +152,11 @@ def progress_line(shown: bool = True) -> Iterator[Progress]:
         return
     import time
 
-    began = {"": time.monotonic()}
+    began = time.monotonic()
 
     def report(stage: str, share: float | None = None) -> None:
-        start = began.setdefault(stage, time.monotonic())
-        passed = time.monotonic() - start
-        more = f" {100 * share:.0f} %" if share is not None else ""
-        if share is not None and 0.02 < share < 1.0 and passed > 1.0:
-            more += f", about {passed * (1.0 - share) / share:.0f} s left"
-        sys.stderr.write(f"{_CLEAR}{time.monotonic() - began['']:5.1f} s  {stage} ...{more}")
+        more = "" if share is None else f" {100 * share:.0f} %"
+        sys.stderr.write(f"{_CLEAR}{time.monotonic() - began:5.1f} s  {stage} ...{more}")
         sys.stderr.flush()
 
     try:

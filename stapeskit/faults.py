@@ -21,18 +21,9 @@ _LONGEST_TEXT = 500  # letters of one field of a fault: longer ones are cut in t
 
 @dataclass(frozen=True)
 class Place:
-    """Where a fault lies.
+    """Where a fault lies: a file, and in it numbers (from 1) of lines, rows, datasets or other ``unit``.
 
-    Attributes
-    ----------
-    file : str
-        Name of the file.
-    unit : str
-        What ``numbers`` count: line, row, dataset, record, ...; empty when the file as a whole is meant.
-    numbers : tuple of int
-        Lines, rows or datasets at fault, from 1.
-    detail : str
-        A column, a signal, ...: what lies within the line.
+    ``detail`` is a column, a signal, ...: what lies within the line.
     """
 
     file: str
@@ -51,20 +42,15 @@ class Fault:
 
     Attributes
     ----------
-    thing : str
-        What is wrong.
-    expected : str
-        What it must be. Empty for a message that is no such sentence: ``thing`` is then the whole of it.
+    thing, expected : str
+        What is wrong (options as on the command line, ``--box``), and what it must be. Without the latter
+        ``thing`` is the whole message.
     got : str
         The value; any object is accepted and kept as its text.
     where : str or Place
         File, row or field; may be empty.
     next_step : str
         What the user can do; may be empty.
-
-    Notes
-    -----
-    Options are written as on the command line, ``--box``; in Python and in study files the name is the same.
     """
 
     thing: str
@@ -80,25 +66,17 @@ class Fault:
         if not self.expected:
             return _cut(self.thing)
         place = f" ({_cut(str(self.where))})" if str(self.where) else ""
-        sentence = f"{_cut(self.thing)} must be {_cut(self.expected)}; got {_cut(str(self.got))}{place}."
-        step = self.next_step.rstrip(".")
-        if not step:
-            return sentence
-        return f"{sentence} {step}" if step.endswith("?") else f"{sentence} {step}."
+        step = f" {self.next_step.rstrip('.')}" if self.next_step else ""
+        stop = "" if step.endswith("?") or not step else "."
+        got = _cut(str(self.got))
+        return f"{_cut(self.thing)} must be {_cut(self.expected)}; got {got}{place}.{step}{stop}"
 
 
 class StapeskitError(ValueError):
     """Every error that the user's input can cause; the commands end with exit code 2 on it.
 
-    Parameters
-    ----------
-    *faults : Fault or str
-        A plain string is a fault of which only the message is known.
-
-    Attributes
-    ----------
-    faults : tuple of Fault
-        Every fault, also those that the message only counts.
+    ``faults`` holds every fault, also those that the message only counts. A plain string is a fault of which
+    only the message is known.
     """
 
     def __init__(self, *faults: Fault | str) -> None:
@@ -117,13 +95,7 @@ class StapeskitError(ValueError):
 
 
 def raise_all(faults: Iterable[Fault]) -> None:
-    """Raise one error that holds every fault, each once, or return when there is none.
-
-    Raises
-    ------
-    StapeskitError
-        There is at least one fault.
-    """
+    """Raise one StapeskitError that holds every fault, each once, or return when there is none."""
     distinct = dict.fromkeys(faults)
     if distinct:
         raise StapeskitError(*distinct)
@@ -155,14 +127,12 @@ def _join_rows(faults: Sequence[Fault]) -> list[Fault]:
         groups.setdefault((fault.thing, fault.expected, fault.next_step, where), []).append(fault)
     joined: list[Fault] = []
     for group in groups.values():
-        first = group[0].where
-        if len(group) < JOINED_FROM or not isinstance(first, Place):
+        places = [fault.where for fault in group if isinstance(fault.where, Place)]
+        if len(group) < JOINED_FROM or not places:
             joined += group
             continue
-        places = [fault.where for fault in group if isinstance(fault.where, Place)]
-        numbers = tuple(number for place in places for number in place.numbers)
-        got = list_some(str(fault.got) for fault in group)
-        joined.append(replace(group[0], got=got, where=replace(first, numbers=numbers)))
+        where = replace(places[0], numbers=tuple(number for place in places for number in place.numbers))
+        joined.append(replace(group[0], got=list_some(str(fault.got) for fault in group), where=where))
     return joined
 
 

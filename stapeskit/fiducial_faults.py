@@ -39,22 +39,10 @@ _ROUNDING = 1e-24  # keeps the ratios of exact data finite
 
 @dataclass(frozen=True)
 class Pairs:
-    """Paired points and the fit of them all.
+    """Paired points (n, 3) with weights (n,), 1 / sd^2 or ones, and the sum of squares of the fit of all.
 
-    Attributes
-    ----------
-    source_mm, target_mm : ndarray, (n, 3)
-    weights : ndarray, (n,)
-        1 / sd^2, or ones.
-    chi2 : float
-        Weighted sum of squared residuals.
-    flat_mm : float
-        Largest distance of a target point from the best plane through all of them.
-    stated : bool
-        Whether the weights are absolute.
-    names : tuple of str
-    source, to : str
-        Names of the frames.
+    ``flat_mm`` is the largest distance of a target point from the best plane through all of them; ``stated``
+    says whether the weights are absolute.
     """
 
     source_mm: Array
@@ -91,17 +79,15 @@ class Pairs:
 class Cause:
     """What may be wrong, in words, and the sum of squares that it leaves.
 
-    It has ``parameters`` and is one of ``number`` alike. One without parameters is refused, as ``thing`` that
-    must be ``expected``; a single wrong fiducial has a ``name`` and is off by ``size_mm``.
+    It has ``parameters`` and is one of ``number`` alike. One without parameters is a ``refusal``: thing,
+    expected, next step; a single wrong fiducial has a ``name`` and is off by ``size_mm``.
     """
 
     words: str
     chi2: float
     parameters: int = 0
     number: int = 1
-    thing: str = ""
-    expected: str = ""
-    step: str = ""
+    refusal: tuple[str, str, str] = ("", "", "")
     name: str = ""
     size_mm: float = np.inf
 
@@ -125,92 +111,94 @@ def notices_of(pairs: Pairs) -> list[Notice]:
     ------
     StapeskitError
         Names are exchanged, one of the frames is left-handed, or residuals exceed a millimetre.
-
-    Notes
-    -----
-    With stated sd: chi2 of the fit of all, p < 0.001. Without, what a cause leaves is the only scale: F test
-    of its gain, corrected for the number of such causes (Cook and Weisberg 1982, Residuals and Influence in
-    Regression, section 2.2).
     """
-    notices = []
+    notices, count = [], len(pairs)
     if pairs.coplanar:
-        few = f"only {len(pairs)} fiducials"
-        why = few if len(pairs) < 4 else f"all fiducials within {pairs.flat_mm:.3g} mm of one plane"
+        why = f"all fiducials within {pairs.flat_mm:.3g} mm of one plane"
+        why = f"only {count} fiducials" if count < 4 else why
         text = f"{why}: a mirrored coordinate system would fit as well; add a fiducial off the plane."
         notices.append(Notice("fiducials_coplanar", text))
-    rms_mm = pairs.rms_mm(pairs.chi2)
     if pairs.stated and not inconsistent(pairs.chi2, pairs.n_dof):
         return notices
-    likely = [cause for cause in _causes(pairs) if _is_likely(pairs, cause)] if len(pairs) > 3 else []
-    words = ""
-    if likely:
-        left = min(one.chi2 / (pairs.n_dof - one.parameters) for one in likely)
-        scale = 1.0 if pairs.stated else max(left, _ROUNDING)
-        weights = [one.chi2 / scale + _PRICE * one.parameters + 2.0 * np.log(one.number) for one in likely]
-        best = likely[int(np.argmin(weights))]
-        alike = [one.name for one in likely if one.name and one.chi2 < best.chi2 + _ALIKE * scale]
-        if best.step:
-            also = f"; or correct fiducial {alike[0]}, which alone shows it" if len(alike) == 1 else ""
-            got = f"{best.words} (residual {rms_mm:.3g} mm as given, {pairs.rms_mm(best.chi2):.3g} mm so)"
-            raise StapeskitError.of(best.thing, best.expected, got, "", best.step + also)
-        words = best.words
-        if best.name and len(alike) > 1:
-            listed = ", ".join(alike)
-            words = f"one of the fiducials {listed} is off by about {best.size_mm:.3g} mm, which one is open"
-    why = "three cannot tell which (add a fourth)" if len(pairs) == 3 else "no single cause explains it"
+    words = _best_cause(pairs) if count > 3 else ""
+    why = "no single cause explains it" if count > 3 else "three cannot tell which (add a fourth)"
+    rms_mm = pairs.rms_mm(pairs.chi2)
     if rms_mm > MOST_RESIDUAL_MM:
         want, got = (
             f"in agreement within {MOST_RESIDUAL_MM:g} mm",
             f"{rms_mm:.3g} mm (root mean square residual)",
         )
         raise StapeskitError.of("the fiducials", want, got, "", f"Check them: {words or why}")
+    size = float(np.sqrt(pairs.chi2 / pairs.n_dof))
     if pairs.stated:
-        size = np.sqrt(pairs.chi2 / pairs.n_dof)
         words = (
             f"the fiducials disagree by {size:.1f} times their sd_mm; {words or why}; the covariance of the "
             "registration was enlarged accordingly"
         )
-    elif len(pairs) > 3 and (scatter_mm := np.sqrt(pairs.chi2 / pairs.n_dof)) > _CONSPICUOUS * _NOTICEABLE_MM:
-        words = words or f"the coordinates of the fiducials scatter by {scatter_mm:.2g} mm; {why}"
+    elif count > 3 and size > _CONSPICUOUS * _NOTICEABLE_MM:
+        words = words or f"the coordinates of the fiducials scatter by {size:.2g} mm; {why}"
     return [*notices, Notice("fiducials_inconsistent", f"{words}.")] if words else notices
+
+
+def _best_cause(pairs: Pairs) -> str:
+    """Return the words of the most likely cause, empty without one.
+
+    Raises
+    ------
+    StapeskitError
+        The cause is certain.
+    """
+    likely = [cause for cause in _causes(pairs) if _is_likely(pairs, cause)]
+    if not likely:
+        return ""
+    left = min(one.chi2 / (pairs.n_dof - one.parameters) for one in likely)
+    scale = 1.0 if pairs.stated else max(left, _ROUNDING)
+    weights = [one.chi2 / scale + _PRICE * one.parameters + 2.0 * np.log(one.number) for one in likely]
+    best = likely[int(np.argmin(weights))]
+    alike = [one.name for one in likely if one.name and one.chi2 < best.chi2 + _ALIKE * scale]
+    thing, expected, step = best.refusal
+    if thing:
+        also = f"; or correct fiducial {alike[0]}, which alone shows it" if len(alike) == 1 else ""
+        before, after = pairs.rms_mm(pairs.chi2), pairs.rms_mm(best.chi2)
+        got = f"{best.words} (residual {before:.3g} mm as given, {after:.3g} mm so)"
+        raise StapeskitError.of(thing, expected, got, "", step + also)
+    if best.name and len(alike) > 1:
+        listed = ", ".join(alike)
+        return f"one of the fiducials {listed} is off by about {best.size_mm:.3g} mm, which one is open"
+    return best.words
 
 
 def _causes(pairs: Pairs) -> Iterator[Cause]:
     """Yield what may be wrong with four fiducials or more."""
     source, target, weights, count = pairs.source_mm, pairs.target_mm, pairs.weights, len(pairs)
     if not pairs.coplanar:
-        yield Cause(
-            "points that fit only as a mirror image",
-            float(misfits(source * [1.0, 1.0, -1.0], target, weights)[0]),
-            thing=f"the coordinates of the {pairs.source} frame",
-            expected="right-handed",
-            step=undo_mirror(pairs.to, pairs.source),
-        )
+        thing = f"the coordinates of the {pairs.source} frame"
+        refusal = (thing, "right-handed", undo_mirror(pairs.to, pairs.source))
+        left = float(misfits(source * [1.0, 1.0, -1.0], target, weights)[0])
+        yield Cause("points that fit only as a mirror image", left, refusal=refusal)
+    refusal = (
+        "the names of the fiducials",
+        "those of the same points in both frames",
+        "Correct the names, or the order of the references",
+    )
     for orders in _other_orders(count):
-        for chi2, order in zip(misfits(source, target[orders], weights)[0], orders.tolist(), strict=True):
-            yield Cause(
-                _order_words(order, pairs.names),
-                float(chi2),
-                number=len(orders),
-                thing="the names of the fiducials",
-                expected="those of the same points in both frames",
-                step="Correct the names, or the order of the references",
-            )
-    scale, chi2 = _scale(pairs)
+        for left, order in zip(misfits(source, target[orders], weights)[0], orders.tolist(), strict=True):
+            words = _order_words(order, pairs.names)
+            yield Cause(words, float(left), number=len(orders), refusal=refusal)
+    scale, left = _scale(pairs)
     if abs(scale - 1.0) > _SCALE:
         words = (
             f"distances between the references are {scale:.4f} times those that the {pairs.source} frame "
             "has; check the voxel size of the scan and the scale of the vibrometer"
         )
-        yield Cause(words, chi2, parameters=1)
+        yield Cause(words, left, 1)
     left_out = np.where(np.eye(count, dtype=bool), 0.0, weights)
     sums, residuals, rotations = misfits(source, target, left_out)
     for place, name in enumerate(pairs.names):
         offset = residuals[place, place]
         size_mm = float(np.linalg.norm(offset))
-        known, seen = (
-            ", ".join(f"{value:+.3g}" for value in part) for part in (offset, -offset @ rotations[place])
-        )
+        changes = (offset, -offset @ rotations[place])
+        known, seen = (", ".join(f"{value:+.3g}" for value in part) for part in changes)
         words = (
             f"fiducial {name} lies {size_mm:.3g} mm from where the others put it (add {known} to x_ref_mm, "
             f"y_ref_mm, z_ref_mm, or {seen} to x_mm, y_mm, z_mm); correct it or leave it out"
@@ -239,18 +227,23 @@ def _order_words(order: Sequence[int], names: Sequence[str]) -> str:
 
 def _scale(pairs: Pairs) -> tuple[float, float]:
     """Return the best scale of the source and what it leaves (Umeyama 1991, doi:10.1109/34.88573, Eq. 42)."""
-    rotation, _, _ = kabsch(pairs.source_mm, pairs.target_mm, pairs.weights)
-    source, target = (
-        part - np.average(part, axis=0, weights=pairs.weights)
-        for part in (pairs.source_mm @ rotation.T, pairs.target_mm)
-    )
+    rotation, _ = kabsch(pairs.source_mm, pairs.target_mm, pairs.weights)
+    points = (pairs.source_mm @ rotation.T, pairs.target_mm)
+    source, target = (part - np.average(part, axis=0, weights=pairs.weights) for part in points)
     weights = pairs.weights[:, None]
     scale = float(np.sum(weights * source * target) / np.sum(weights * source**2))
     return scale, float(np.sum(weights * (scale * source - target) ** 2))
 
 
 def _is_likely(pairs: Pairs, cause: Cause) -> bool:
-    """Return whether a cause gains too much for chance; one without parameters must leave noise alone."""
+    """Return whether a cause gains too much for chance; one without parameters must leave noise alone.
+
+    Notes
+    -----
+    With stated sd: chi2 of the fit of all, p < 0.001. Without, what a cause leaves is the only scale: F test
+    of its gain, corrected for the number of such causes (Cook and Weisberg 1982, Residuals and Influence in
+    Regression, section 2.2).
+    """
     from scipy.special import chdtrc, fdtrc
 
     gain, n_dof = max(pairs.chi2 - cause.chi2, 0.0), pairs.n_dof - cause.parameters
@@ -268,14 +261,11 @@ def _is_likely(pairs: Pairs, cause: Cause) -> bool:
 
 def undo_mirror(target: str, source: str) -> str:
     """Return what to do when the frames that points connect are mirror images of each other."""
+    step = "Undo the mirrored axis{} with --mirror x, y or z{}, or "
     if source == "plate":
-        return (
-            "Undo the mirrored axis of the scan with --mirror x, y or z, or correct the plate's coordinates"
-        )
-    step = (
-        "Undo the mirrored axis with --mirror x, y or z (scanning heads often count one axis the other way), "
-        "or put exchanged columns into their order"
-    )
+        return step.format(" of the scan", "") + "correct the plate's coordinates"
+    step = step.format("", " (scanning heads often count one axis the other way)")
+    step += "put exchanged columns into their order"
     if target != "scan":
         return step
     scan = "when the slices of the scan are in reverse order, mirror the scan where it is read, by ct2mass"

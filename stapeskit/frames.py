@@ -34,10 +34,7 @@ def axis_vector(name: str) -> Array | None:
 
 
 def rotation_from_vector(rotation_vector: ArrayLike) -> Array:
-    """Return the rotation matrix (3, 3) of a rotation vector in rad (Rodrigues' formula).
-
-    The two coefficients are written with sinc, so the result stays exact to rounding near the identity.
-    """
+    """Return the matrix (3, 3) of a rotation vector in rad: Rodrigues' formula, by sinc exact near 0."""
     vector = np.asarray(rotation_vector, dtype=float)
     angle = float(np.linalg.norm(vector))
     k = cross_matrix(vector)
@@ -47,45 +44,24 @@ def rotation_from_vector(rotation_vector: ArrayLike) -> Array:
 
 def vector_from_rotation(rotation: ArrayLike) -> Array:
     """Return the rotation vector (3,), in rad, of a rotation matrix: the inverse of rotation_from_vector."""
-    r = np.asarray(rotation, dtype=float)
-    axis = 0.5 * np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
-    sine = float(np.linalg.norm(axis))
-    cosine = 0.5 * (float(np.trace(r)) - 1.0)
-    angle = float(np.arctan2(sine, cosine))
-    if cosine > -0.999:
-        return axis / np.sinc(angle / np.pi)
-    square = 0.5 * (r + r.T) - cosine * np.eye(3)
-    column = square[:, int(np.argmax(np.diag(square)))]
-    direction = column / np.linalg.norm(column)
-    if direction @ axis < 0.0:
-        direction = -direction
-    return np.asarray(direction * angle)
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
-def transform_faults(matrix: Array, name: str, where: str = "") -> list[Fault]:
-    """List what keeps a matrix from being a proper rigid transform; empty when it is one.
-
-    Parameters
-    ----------
-    matrix : ndarray, (4, 4)
-    name : str
-        What it is called in the message.
-    where : str
-        The file that contains it.
-    """
-    if matrix.shape != (4, 4):
-        return [Fault(name, "a finite 4x4 matrix", f"shape {matrix.shape}", where)]
-    if not np.all(np.isfinite(matrix)):
-        return [Fault(name, "a finite 4x4 matrix", "NaN or infinity", where)]
+def transform_faults(matrix: Array, name: str) -> list[Fault]:
+    """List what keeps a matrix called ``name`` from being a proper rigid transform; empty when it is one."""
+    if matrix.shape != (4, 4) or not np.all(np.isfinite(matrix)):
+        return [Fault(name, "a finite 4x4 matrix", f"shape {matrix.shape}, or NaN or infinity")]
     if np.max(np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0])) > _ROTATION_TOLERANCE:
-        return [Fault(f"the last row of {name}", "0, 0, 0, 1", matrix[3].tolist(), where)]
+        return [Fault(f"the last row of {name}", "0, 0, 0, 1", matrix[3].tolist())]
     rotation = matrix[:3, :3]
     if np.max(np.abs(rotation @ rotation.T - np.eye(3))) > _ROTATION_TOLERANCE:
         step = "Give a rigid transform without scale or shear"
-        return [Fault(f"the rotation of {name}", "orthonormal", rotation.tolist(), where, step)]
+        return [Fault(f"the rotation of {name}", "orthonormal", rotation.tolist(), "", step)]
     if np.linalg.det(rotation) < 0.0:
         step = "Undo the mirrored axis with --mirror x, y or z"
-        return [Fault(name, "right-handed (determinant +1)", "a reflection", where, step)]
+        return [Fault(name, "right-handed (determinant +1)", "a reflection", "", step)]
     return []
 
 
@@ -163,36 +139,24 @@ class RigidTransform:
         return np.asarray(np.asarray(vectors, dtype=float) @ self.rotation.T)
 
     def perturbed(self, small: ArrayLike) -> RigidTransform:
-        """Return this transform with its SOURCE frame displaced by a small motion given in source axes.
+        """Return this transform with its SOURCE frame displaced by a small motion (6,) in source axes.
 
-        Parameters
-        ----------
-        small : array_like, (6,)
-            Translation in m and rotation vector in rad, both in source axes: the order and units of
-            every pose covariance (x, y, z, alpha, beta, gamma).
+        Translation in m and rotation vector in rad: order and units of every pose covariance.
         """
-        motion = np.asarray(small, dtype=float)
-        step = RigidTransform.from_parts(
-            rotation_from_vector(motion[3:]), motion[:3] * 1e3, self.source, self.source
-        )
-        return self @ step
+        motion, frame = np.asarray(small, dtype=float), self.source
+        turn = rotation_from_vector(motion[3:])
+        return self @ RigidTransform.from_parts(turn, motion[:3] * 1e3, frame, frame)
 
 
 def axes_matrix(x: Sequence[float] | Array, y: Sequence[float] | Array) -> Array:
     """Return the rotation whose columns are a right-handed triad: ``y`` exact, ``x`` made square to it.
 
-    Parameters
-    ----------
-    x, y : array_like, (3,)
-        Directions; y is normalised, the part of x along y is removed; z = x cross y.
-
     Raises
     ------
     StapeskitError
-        The two directions are parallel or zero.
+        The two directions (3,) are parallel or zero.
     """
-    y_axis = np.asarray(y, dtype=float)
-    x_axis = np.asarray(x, dtype=float)
+    y_axis, x_axis = np.asarray(y, dtype=float), np.asarray(x, dtype=float)
     length = float(np.linalg.norm(y_axis))
     if not length > 0.0:
         raise StapeskitError.of("the y direction", "a non-zero vector", y_axis.tolist())

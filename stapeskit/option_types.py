@@ -21,20 +21,10 @@ _SPAN = re.compile(r"\s*([+\d.][\d.]*(?:[eE][+-]?\d+)?)\s*[-,]\s*(-?[\d.]+(?:[eE
 
 @dataclass(frozen=True)
 class Kind:
-    """How a value is read, and what it must be, in words.
+    """How a value is read (ValueError where it cannot be), and what it must be: ``--box must be ...``.
 
-    Attributes
-    ----------
-    read : callable
-        Returns the value, or raises ValueError.
-    expected : str
-        As in "--box must be ...".
-    metavar : str
-        Placeholder in the help.
-    step : str
-        What to do about an unfit value; empty: an example is shown.
-    is_path : bool
-        Whether the value names files that are read: relative ones start at the folder of a TOML file.
+    ``metavar`` is its placeholder in the help; ``step`` what to do about an unfit one, by default an example;
+    ``is_path`` says that it names files that are read: relative ones start at the folder of a TOML file.
     """
 
     read: Callable[[Any], Any]
@@ -63,26 +53,29 @@ class WithSd:
         return f"{self.value:g}" if self.sd is None else f"{self.value:g}+-{self.sd:g}"
 
 
+# ---- parts of readers
+
+
 def require(condition: object) -> None:
     """Raise ValueError unless the condition holds."""
     if not condition:
         raise ValueError
 
 
-def number(value: Any) -> float:
-    """Read a finite number out of text or a number."""
-    value = value.item() if hasattr(value, "item") else value
-    require(isinstance(value, int | float | str) and not isinstance(value, bool))
-    result = float(value)
-    require(math.isfinite(result))
-    return result
+def limited(read: Callable[[Any], Any], fits: Callable[[Any], object]) -> Callable[[Any], Any]:
+    """Return a reader that also requires a condition of the value it has read."""
+
+    def read_limited(value: Any) -> Any:
+        found = read(value)
+        require(fits(found))
+        return found
+
+    return read_limited
 
 
-def numbers(value: Any, *counts: int) -> tuple[float, ...]:
-    """Read as many numbers as one of the counts says, from a comma list or a sequence."""
-    parts = value.split(",") if isinstance(value, str) else value
-    require(not isinstance(parts, Mapping) and hasattr(parts, "__len__") and len(parts) in counts)
-    return tuple(number(part) for part in parts)
+def each(read: Callable[[Any], Any], split: Callable[[Any], list[Any]]) -> Callable[[Any], tuple[Any, ...]]:
+    """Return the reader of several values, which `entries` or `rows` separates."""
+    return lambda value: tuple(read(entry) for entry in split(value))
 
 
 def entries(value: Any) -> list[Any]:
@@ -96,96 +89,42 @@ def rows(value: Any) -> list[Any]:
     return [value] if one else entries(value)
 
 
-def number_where(fits: Callable[[float], bool]) -> Callable[[Any], float]:
+def number(value: Any) -> float:
+    """Read a finite number out of text or a number."""
+    value = value.item() if hasattr(value, "item") else value
+    require(isinstance(value, int | float | str) and not isinstance(value, bool))
+    result = float(value)
+    require(math.isfinite(result))
+    return result
+
+
+def number_where(fits: Callable[[float], object]) -> Callable[[Any], float]:
     """Return the reader of a number within limits."""
-
-    def read(value: Any) -> float:
-        result = number(value)
-        require(fits(result))
-        return result
-
-    return read
+    return limited(number, fits)
 
 
-def whole_from(least: int) -> Callable[[Any], int]:
-    """Return the reader of a whole number of at least so much."""
+def numbers(value: Any, *counts: int) -> tuple[float, ...]:
+    """Read as many numbers as one of the counts says, from a comma list or a sequence."""
+    parts = value.split(",") if isinstance(value, str) else value
+    require(not isinstance(parts, Mapping) and hasattr(parts, "__len__") and len(parts) in counts)
+    return tuple(number(part) for part in parts)
 
-    def read(value: Any) -> int:
-        result = number(value)
-        require(result == int(result) and result >= least)
-        return int(result)
 
-    return read
+def _same(value: Any) -> Any:
+    return value
 
 
 def one_of(choices: tuple[Any, ...]) -> Kind:
     """Return the kind of a word out of some."""
-
-    def read(value: Any) -> Any:
-        require(value in choices)
-        return value
-
-    return Kind(read, f"one of {', '.join(choices)}", "|".join(choices))
+    return Kind(
+        limited(_same, lambda value: value in choices), f"one of {', '.join(choices)}", "|".join(choices)
+    )
 
 
-def with_sd(value: Any) -> WithSd:
-    """Read a value that is not negative, with or without its standard deviation."""
-    if not isinstance(value, WithSd):
-        parts = value.replace("±", "+-").split("+-") if isinstance(value, str) else entries(value)
-        require(len(parts) in (1, 2))
-        value = WithSd(*(number(part) for part in parts if part is not None))
-    require(value.value >= 0.0 and (value.sd is None or value.sd >= 0.0))
-    return WithSd(value.value, value.sd)
-
-
-def _positive_with_sd(value: Any) -> WithSd:
-    found = with_sd(value)
-    require(found.value > 0.0)
-    return found
-
-
-def _spacing(value: Any) -> tuple[float, ...]:
-    found = numbers(value, 1, 3) if isinstance(value, str | list | tuple) else (number(value),)
-    require(min(found) > 0.0)
-    return found * 3 if len(found) == 1 else found
-
-
-def _point(value: Any) -> tuple[float, ...]:
-    return numbers(value, 3)
-
-
-def _direction(value: Any) -> tuple[float, ...]:
-    found = numbers(value, 3)
-    require(any(found))
-    return found
-
-
-def _box(value: Any) -> tuple[float, ...]:
-    found = numbers(value, 6)
-    require(all(low < high for low, high in zip(found[:3], found[3:], strict=True)))
-    return found
-
-
-def _range(value: Any) -> tuple[float, float]:
-    match = _SPAN.fullmatch(value) if isinstance(value, str) else None
-    low, high = numbers(match.groups() if match else value, 2)
-    require(0.0 <= low < high)
-    return low, high
-
-
-def _ranges(value: Any) -> tuple[tuple[float, float], ...]:
-    return tuple(_range(entry) for entry in rows(value))
-
-
-def _masses(value: Any) -> tuple[tuple[float, ...], ...]:
-    def row(entry: Any) -> tuple[float, ...]:
-        if isinstance(entry, str):
-            entry = entry.replace("±", "+-").replace("+-", ",")
-        found = (*numbers(entry, 4, 5), 0.0)[:5]
-        require(found[3] > 0.0 and found[4] >= 0.0)
-        return found
-
-    return tuple(row(entry) for entry in rows(value))
+def text(value: Any) -> str:
+    """Read a text, blanks around it dropped."""
+    require(isinstance(value, str))
+    return str(value).strip()
 
 
 def path(value: Any) -> Path:
@@ -207,16 +146,63 @@ def existing(value: Any) -> Path:
     return found
 
 
-def _existing_files(value: Any) -> tuple[Path, ...]:
-    found = tuple(existing(entry) for entry in entries(value))
-    require(found)
+def output_file(suffix: str) -> Kind:
+    """Return the kind of a file that is written; ``ear1`` means ``ear1.csv``."""
+
+    def read(value: Any) -> Path:
+        found = path(value)
+        return found if found.suffix.lower() == suffix else found.with_name(found.name + suffix)
+
+    no_folder = limited(read, lambda found: not found.is_dir())
+    return Kind(no_folder, f"a file name that ends with {suffix}", f"FILE{suffix}")
+
+
+# ---- readers of the kinds below
+
+
+def _whole(least: int) -> Callable[[Any], int]:
+    exact = limited(number, lambda value: value == int(value) and value >= least)
+    return lambda value: int(exact(value))
+
+
+def _with_sd(value: Any) -> WithSd:
+    """Read a value that is not negative, with or without its standard deviation."""
+    if not isinstance(value, WithSd):
+        parts = value.replace("±", "+-").split("+-") if isinstance(value, str) else entries(value)
+        require(len(parts) in (1, 2))
+        value = WithSd(*(number(part) for part in parts if part is not None))
+    require(value.value >= 0.0 and (value.sd is None or value.sd >= 0.0))
+    return WithSd(value.value, value.sd)
+
+
+def _spacing(value: Any) -> tuple[float, ...]:
+    found = numbers(value if isinstance(value, str) else entries(value), 1, 3)
+    require(min(found) > 0.0)
+    return found * 3 if len(found) == 1 else found
+
+
+def _point(value: Any) -> tuple[float, ...]:
+    return numbers(value, 3)
+
+
+def _box(value: Any) -> tuple[float, ...]:
+    found = numbers(value, 6)
+    require(all(low < high for low, high in zip(found[:3], found[3:], strict=True)))
     return found
 
 
-def text(value: Any) -> str:
-    """Read a text, blanks around it dropped."""
-    require(isinstance(value, str))
-    return str(value).strip()
+def _range(value: Any) -> tuple[float, float]:
+    match = _SPAN.fullmatch(value) if isinstance(value, str) else None
+    low, high = numbers(match.groups() if match else value, 2)
+    require(0.0 <= low < high)
+    return low, high
+
+
+def _point_mass(value: Any) -> tuple[float, ...]:
+    listed = value.replace("±", "+-").replace("+-", ",") if isinstance(value, str) else value
+    found = (*numbers(listed, 4, 5), 0.0)[:5]
+    require(found[3] > 0.0 and found[4] >= 0.0)
+    return found
 
 
 def _words(value: Any) -> tuple[str, ...]:
@@ -233,64 +219,48 @@ def _dof(value: Any) -> tuple[str, ...]:
     return tuple(name for name in DOF_NAMES if name in names)
 
 
-def _flag(value: Any) -> bool:
-    require(isinstance(value, bool))
-    return bool(value)
-
-
 def _table(value: Any) -> dict[str, Any]:
     require(isinstance(value, Mapping))
     require(all(isinstance(entry, str | bool | int | float) for entry in value.values()))
     return {str(name): entry for name, entry in value.items()}
 
 
-def output_file(suffix: str) -> Kind:
-    """Return the kind of a file that is written; ``ear1`` means ``ear1.csv``."""
-
-    def read(value: Any) -> Path:
-        found = path(value)
-        found = found if found.suffix.lower() == suffix else found.with_name(found.name + suffix)
-        require(not found.is_dir())
-        return found
-
-    return Kind(read, f"a file name that ends with {suffix}", f"FILE{suffix}")
-
-
 _WITH_SD = "a positive number without its unit, or VALUE+-SD"
-_CHECK = "Check its name and folder"
-_CORNERS = "six numbers x0, y0, z0, x1, y1, z1 in mm, the lower corner first"
-_POINT_MASSES = "point masses x, y, z, mg or x, y, z, mg+-sd in mm and mg, the mass positive"
-_SOME_DOF = f"all, or a list of different names out of {', '.join(DOF_NAMES)}"
 _SPAN_WORDS = "two frequencies in Hz, the lower first"
+_FILE = "an existing file or folder"
+_CHECK = "Check its name and folder"
+_PERCENT = "a percentage from 0 to 50"
+_SPACING = "a positive number, or three of them (x, y, z), mm"
+_DIRECTION = "three numbers x, y, z that are not all zero"
+_CORNERS = "six numbers x0, y0, z0, x1, y1, z1 in mm, the lower corner first"
+_MASSES = "point masses x, y, z, mg or x, y, z, mg+-sd in mm and mg, the mass positive"
+_DOF = f"all, or a list of different names out of {', '.join(DOF_NAMES)}"
 
 Number = Annotated[float, Kind(number, "a number", "NUMBER")]
 Positive = Annotated[float, Kind(number_where(lambda value: value > 0.0), "a positive number", "NUMBER")]
-Percent = Annotated[
-    float, Kind(number_where(lambda value: 0.0 <= value < 50.0), "a percentage from 0 to 50", "PERCENT")
-]
-Count = Annotated[int, Kind(whole_from(1), "a whole number, 1 or more", "N")]
-CountOrZero = Annotated[int, Kind(whole_from(0), "a whole number, 0 or more", "N")]
-Flag = Annotated[bool, Kind(_flag, "true or false", "")]
+Percent = Annotated[float, Kind(number_where(lambda value: 0.0 <= value < 50.0), _PERCENT, "PERCENT")]
+Count = Annotated[int, Kind(_whole(1), "a whole number, 1 or more", "N")]
+CountOrZero = Annotated[int, Kind(_whole(0), "a whole number, 0 or more", "N")]
+Flag = Annotated[bool, Kind(limited(_same, lambda value: isinstance(value, bool)), "true or false", "")]
 Text = Annotated[str, Kind(text, "text", "TEXT")]
 Words = Annotated[tuple[str, ...], Kind(_words, "names separated by commas", "LIST")]
 Table = Annotated[dict[str, Any], Kind(_table, "a table of numbers and texts", "TABLE")]
-PositiveWithSd = Annotated[WithSd, Kind(_positive_with_sd, _WITH_SD, "VALUE[+-SD]")]
-ZeroOrWithSd = Annotated[WithSd, Kind(with_sd, f"0, {_WITH_SD}", "VALUE[+-SD]")]
-Spacing = Annotated[
-    tuple[float, ...], Kind(_spacing, "a positive number, or three of them (x, y, z), mm", "H|DX,DY,DZ")
+PositiveWithSd = Annotated[
+    WithSd, Kind(limited(_with_sd, lambda found: found.value > 0.0), _WITH_SD, "VALUE[+-SD]")
 ]
+ZeroOrWithSd = Annotated[WithSd, Kind(_with_sd, f"0, {_WITH_SD}", "VALUE[+-SD]")]
+Spacing = Annotated[tuple[float, ...], Kind(_spacing, _SPACING, "H|DX,DY,DZ")]
 Point = Annotated[tuple[float, ...], Kind(_point, "three numbers x, y, z", "X,Y,Z")]
-Direction = Annotated[
-    tuple[float, ...], Kind(_direction, "three numbers x, y, z that are not all zero", "X,Y,Z")
-]
+Direction = Annotated[tuple[float, ...], Kind(limited(_point, any), _DIRECTION, "X,Y,Z")]
 Box = Annotated[tuple[float, ...], Kind(_box, _CORNERS, "X0,Y0,Z0,X1,Y1,Z1")]
 Range = Annotated[tuple[float, float], Kind(_range, _SPAN_WORDS, "F1,F2")]
-Ranges = Annotated[tuple[tuple[float, float], ...], Kind(_ranges, f"a range of {_SPAN_WORDS}", "F1-F2")]
-Masses = Annotated[tuple[tuple[float, ...], ...], Kind(_masses, _POINT_MASSES, "X,Y,Z,MG[+-SD]")]
-ReadFile = Annotated[Path, Kind(existing, "an existing file or folder", "FILE", _CHECK, is_path=True)]
+Ranges = Annotated[
+    tuple[tuple[float, float], ...], Kind(each(_range, rows), f"a range of {_SPAN_WORDS}", "F1-F2")
+]
+Masses = Annotated[tuple[tuple[float, ...], ...], Kind(each(_point_mass, rows), _MASSES, "X,Y,Z,MG[+-SD]")]
+ReadFile = Annotated[Path, Kind(existing, _FILE, "FILE", _CHECK, is_path=True)]
 ReadFiles = Annotated[
-    tuple[Path, ...],
-    Kind(_existing_files, "existing files", "FILE", "Check their names and folders", is_path=True),
+    tuple[Path, ...], Kind(limited(each(existing, entries), any), _FILE, "FILE", _CHECK, is_path=True)
 ]
 Folder = Annotated[Path, Kind(path, "a folder", "DIR")]
-DofList = Annotated[tuple[str, ...], Kind(_dof, _SOME_DOF, "LIST", "Write for example y,alpha,gamma")]
+DofList = Annotated[tuple[str, ...], Kind(_dof, _DOF, "LIST", "Write for example y,alpha,gamma")]

@@ -40,12 +40,8 @@ class Outputs:
     def __init__(
         self, command: str, folder: Path, names: Iterable[str], inputs: Iterable[Path], force: bool = False
     ) -> None:
-        self.command, self.folder, self.names, self.force = (
-            command,
-            Path(folder).absolute(),
-            tuple(names),
-            force,
-        )
+        self.command, self.folder, self.force = command, Path(folder).absolute(), force
+        self.names = tuple(names)
         self._written = self.names
         files = [file for path in inputs for file in _with_contents(Path(path))]
         self._inputs = {key: file for file in files if (key := _identity(file)) is not None}
@@ -58,12 +54,14 @@ class Outputs:
         StapeskitError
             The folder is a file, or an output is a folder, an input (also by a link) or a foreign file.
         """
-        self._check_folder()
+        step = "Choose another place with --out"
+        there = next(parent for parent in (self.folder, *self.folder.parents) if os.path.lexists(parent))
+        if not there.is_dir():
+            raise StapeskitError.of("the output folder", "a folder", f"the file {there}", "", step)
         faults, foreign = [], []
         known = self._manifest().get(self.command, {})
         for name in dict.fromkeys((*self.names, *names)):
             path = self.folder / name
-            step = "Choose another place with --out"
             if path.is_dir():
                 faults.append(Fault(f"the output {path}", "a file", "a folder", "", "Move it away"))
             elif (read := self._inputs.get(_identity(path) or (-1, -1))) is not None:
@@ -71,10 +69,9 @@ class Outputs:
             elif os.path.lexists(path) and (name not in known or known[name] != _hash_or_none(path)):
                 foreign.append(name)
         if foreign and not self.force:
-            expected = f"as {self.command} left them"
-            step = "Choose another place with --out, or replace them with --force"
+            expected, got = f"as {self.command} left them", f"others: {list_some(foreign)}"
             things = f"files at the names of outputs in {self.folder}"
-            faults.append(Fault(things, expected, f"others: {list_some(foreign)}", "", step))
+            faults.append(Fault(things, expected, got, "", f"{step}, or replace them with --force"))
         raise_all(faults)
 
     @contextmanager
@@ -113,23 +110,13 @@ class Outputs:
         """Return whether every file that the command is known to have written is there as it was."""
         listed = self._manifest().get(self.command, {})
         known = {name: value for name, value in listed.items() if name in self.names}
-        return bool(known) and all(
-            _hash_or_none(self.folder / name) == value for name, value in known.items()
-        )
+        return bool(known) and all(_hash_or_none(self.folder / one) == value for one, value in known.items())
 
     def paths(self) -> tuple[Path, ...]:
         """Return the outputs that are there, relative to the working folder where they lie within it."""
         known = self._manifest().get(self.command, {})
         folder = Path(os.path.relpath(self.folder)) if self.folder.is_relative_to(Path.cwd()) else self.folder
         return tuple(folder / name for name in known if name in self._written)
-
-    def _check_folder(self) -> None:
-        for parent in (self.folder, *self.folder.parents):
-            if os.path.lexists(parent):
-                if not parent.is_dir():
-                    step = "Choose another place with --out"
-                    raise StapeskitError.of("the output folder", "a folder", f"the file {parent}", "", step)
-                return
 
     def _manifest(self) -> dict[str, dict[str, str]]:
         return _read_manifest(self.folder)

@@ -1,12 +1,10 @@
-"""Paired points of two frames: the least-squares pose between them, its residuals, and what cannot be
-paired."""
+"""Paired points of two frames: the least-squares pose between them, its residuals, what cannot be paired."""
 
 from __future__ import annotations
 
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
@@ -15,42 +13,32 @@ from stapeskit.frames import cross_matrix
 _UNITS = {"m": 1000.0, "inches": 25.4, "cm": 10.0, "um": 1e-3}  # mm
 
 
-def kabsch(
-    source_mm: Array, target_mm: Array, weights: Array
-) -> tuple[Array, Array, NDArray[np.bool_] | np.bool_]:
-    """Return the rotation and shift of the weighted least-squares fit of one set of points, or of many.
+def kabsch(source_mm: Array, target_mm: Array, weights: Array) -> tuple[Array, Array]:
+    """Return rotations (..., 3, 3) and shifts (..., 3), mm, of weighted least-squares fits.
 
     Parameters
     ----------
     source_mm, target_mm : ndarray, (..., n, 3)
+        One set of points, or many.
     weights : ndarray, (..., n)
-
-    Returns
-    -------
-    rotation : ndarray, (..., 3, 3)
-        Proper.
-    shift : ndarray, (..., 3)
-        mm.
-    mirrored : ndarray of bool, (...)
-        Whether a reflection would have fitted better.
 
     Notes
     -----
-    Kabsch 1976 (doi:10.1107/S0567739476001873) with the sign of Umeyama 1991 (doi:10.1109/34.88573).
+    Kabsch 1976 (doi:10.1107/S0567739476001873); the sign of Umeyama 1991 (doi:10.1109/34.88573) makes it
+    never a reflection.
     """
     share = (weights / np.sum(weights, axis=-1, keepdims=True))[..., None]
     source_centre, target_centre = (share.swapaxes(-1, -2) @ points for points in (source_mm, target_mm))
     cross = ((source_mm - source_centre) * share).swapaxes(-1, -2) @ (target_mm - target_centre)
     u, _, vt = np.linalg.svd(cross)
-    mirrored = np.linalg.det(u) * np.linalg.det(vt) < 0.0
-    u[..., 2] *= np.where(mirrored, -1.0, 1.0)[..., None]
+    u[..., 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[..., None]
     rotation = (u @ vt).swapaxes(-1, -2)
-    return rotation, (target_centre - source_centre @ rotation.swapaxes(-1, -2))[..., 0, :], mirrored
+    return rotation, (target_centre - source_centre @ rotation.swapaxes(-1, -2))[..., 0, :]
 
 
 def misfits(source_mm: Array, target_mm: Array, weights: Array) -> tuple[Array, Array, Array]:
     """Return the sums of squares (...) that the best poses leave, residuals (..., n, 3) and rotations."""
-    rotation, shift, _ = kabsch(source_mm, target_mm, weights)
+    rotation, shift = kabsch(source_mm, target_mm, weights)
     residuals = source_mm @ rotation.swapaxes(-1, -2) + shift[..., None, :] - target_mm
     return np.sum(weights[..., None] * residuals**2, axis=(-2, -1)), residuals, rotation
 

@@ -8,6 +8,7 @@ import os
 import platform
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -38,10 +39,7 @@ def sha256(path: Path) -> str:
 
 
 def input_record(path: Path) -> dict[str, Any]:
-    """Describe one input: name, size in bytes, modification time (UTC, ISO 8601) and content hash.
-
-    A mass.json has its `document_hash` as well.
-    """
+    """Describe an input: name, size, UTC time, content hash; of a mass.json its `document_hash` as well."""
     path = Path(path)
     stat = path.stat()
     files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
@@ -52,28 +50,20 @@ def input_record(path: Path) -> dict[str, Any]:
         "hash": f"sha256:{sha256(path)}",
     }
     if path.suffix.lower() == ".json":
-        try:
+        with suppress(ValueError, RecursionError):
             document = json.loads(path.read_text(encoding="utf-8"))
-        except (ValueError, RecursionError):
-            return entry
-        if isinstance(document, Mapping) and "frames" in document:
-            entry["document_hash"] = document_hash(document)
+            if isinstance(document, Mapping) and "frames" in document:
+                entry["document_hash"] = document_hash(document)
     return entry
 
 
 def document_hash(document: Mapping[str, Any]) -> str:
-    """Return ``sha256:hex`` of the numbers of a mass.json that other results rely on.
-
-    Date, command and whatever else does not move another result are left out.
-    """
+    """Return ``sha256:hex`` of the numbers of a mass.json that move other results: not of date or command."""
     return _hash_of_json({key: document[key] for key in _RELIED_ON if key in document})
 
 
 def frames_hash(document: Mapping[str, Any]) -> str:
-    """Return ``sha256:hex`` of the frames of a mass.json, which is all that a motion takes from it.
-
-    Unlike `document_hash` it is the same for another density.
-    """
+    """Return ``sha256:hex`` of the frames of a mass.json: all that a motion takes, whatever the density."""
     frames = document.get("frames", {})
     return _hash_of_json({key: frames.get(key) for key in _FRAMES})
 
@@ -89,10 +79,8 @@ def versions() -> dict[str, str]:
 
     found = {"python": platform.python_version()}
     for name in _PACKAGES:
-        try:
+        with suppress(metadata.PackageNotFoundError):
             found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
     return found
 
 

@@ -22,25 +22,16 @@ class Registration:
 
     Attributes
     ----------
-    transform : RigidTransform
-        Maps source coordinates to target coordinates (mm).
     covariance_si : ndarray, (6, 6)
         Covariance of the small displacement e of the SOURCE frame in its own axes, about its own origin,
         (x, y, z in m, alpha, beta, gamma in rad), for which ``transform.perturbed(e)`` is the true pose.
-    residuals_mm : ndarray, (n, 3)
-        Mapped source points minus target points, in target axes.
-    sd_mm : ndarray, (n,)
-        Standard deviation per coordinate of each pair's difference: as given, or estimated from residuals.
+    residuals_mm, sd_mm : ndarray, (n, 3) and (n,)
+        Mapped source points minus target points, in target axes; standard deviation per coordinate of each
+        pair's difference, as given, or estimated from the residuals.
     chi2, n_dof : float, int
-        Sum of (residual / sd)^2 and 3 n - 6; chi2 is NaN when the sd was estimated.
-    flat_mm : float
-        Largest distance of a target point from the best plane through all of them.
+        Sum of (residual / sd)^2, NaN when the sd was estimated, and 3 n - 6.
     notices : tuple of Notice
         ``fiducials_coplanar``, ``fiducials_inconsistent``.
-    names : tuple of str, (n,)
-        Names of the pairs.
-    kind : str
-        What was fitted: ``fiducials``, ``plate points`` ...
     """
 
     transform: RigidTransform
@@ -49,10 +40,8 @@ class Registration:
     sd_mm: Array
     chi2: float
     n_dof: int
-    flat_mm: float
     notices: tuple[Notice, ...] = ()
     names: tuple[str, ...] = ()
-    kind: str = "fiducials"
 
     @property
     def rms_mm(self) -> float:
@@ -78,7 +67,6 @@ def fit_rigid(
     to: str,
     source: str,
     names: Sequence[str] = (),
-    kind: str = "fiducials",
 ) -> Registration:
     """Fit the rigid transform that maps source points onto target points; never a reflection.
 
@@ -87,14 +75,9 @@ def fit_rigid(
     source_mm, target_mm : array_like, (n, 3)
         Paired points, mm, in the frames ``source`` and ``to``; at least 3, not on a line.
     sd_mm : array_like, scalar or (n,), optional
-        Standard deviation per coordinate of the difference of a pair, mm. Estimated from the residuals when
-        it is not given.
-    to, source : str
-        Names of the two frames.
-    names : sequence of str, optional
-        Names of the pairs, for messages.
-    kind : str
-        What the pairs are, for reports.
+        Standard deviation per coordinate of the difference of a pair, mm; else the residuals give it.
+    to, source, names
+        Names of the two frames, and of the pairs, for messages.
 
     Raises
     ------
@@ -110,30 +93,29 @@ def fit_rigid(
     and residuals too large for them (p < 0.001) the covariance grows with chi2 / n_dof.
     """
     first, second = np.asarray(source_mm, dtype=float), np.asarray(target_mm, dtype=float)
-    labels = tuple(names) or tuple(str(place + 1) for place in range(len(first)))
-    stated = sd_mm is not None
     check_pairs(first, second, source, to)
-    sd = _checked_sd(sd_mm, len(first))
+    labels = tuple(names) or tuple(str(place + 1) for place in range(len(first)))
+    sd = np.array(np.broadcast_to(1.0 if sd_mm is None else np.asarray(sd_mm, dtype=float), len(first)))
+    if not np.all((sd > 0.0) & np.isfinite(sd)):
+        raise StapeskitError.of("sd_mm of a fiducial", "positive and finite", f"{np.min(sd):g}")
     weights = 1.0 / sd**2
     left, residuals, rotation = misfits(first, second, weights)
-    chi2 = float(left)
     shift = np.average(second - first @ rotation.T, axis=0, weights=weights)
-    n_dof = 3 * len(first) - 6
-    spread = sd if stated else np.full(len(first), np.sqrt(chi2 / n_dof))
-    flat_mm = _distance_from_plane(second)
+    chi2, n_dof = float(left), 3 * len(first) - 6
+    centred = second - second.mean(axis=0)
+    flat_mm = float(np.max(np.abs(centred @ np.linalg.svd(centred)[2][2])))
+    stated = sd_mm is not None
     notices = notices_of(Pairs(first, second, weights, chi2, flat_mm, stated, labels, source, to))
     scale = chi2 / n_dof if not stated or inconsistent(chi2, n_dof) else 1.0
     return Registration(
         RigidTransform.from_parts(rotation, shift, to, source),
         scale * _pose_covariance(first, weights),
         residuals,
-        spread,
+        sd if stated else np.full(len(first), np.sqrt(chi2 / n_dof)),
         chi2 if stated else float("nan"),
         n_dof,
-        flat_mm,
         tuple(notices),
         labels,
-        kind,
     )
 
 
@@ -144,10 +126,7 @@ def displacement(base: RigidTransform, moved: RigidTransform) -> Array:
 
 
 def _pose_covariance(points_mm: Array, weights: Array) -> Array:
-    """Return the covariance (6, 6), SI, of the displacement of the source frame about its origin.
-
-    ``weights`` (n,) are 1 / sd^2 of the pairs, 1/mm2.
-    """
+    """Return the covariance (6, 6), SI, of the displacement of the source frame; weights (n,), 1/mm2."""
     centre = weights @ points_mm / np.sum(weights) * 1e-3
     rows = pose_rows(points_mm * 1e-3 - centre)
     information = np.einsum("nji,n,njk->ik", rows, weights * 1e6, rows)
@@ -157,17 +136,3 @@ def _pose_covariance(points_mm: Array, weights: Array) -> Array:
     move[:3, 3:] = cross_matrix(centre)
     covariance = move @ about_centre @ move.T
     return np.asarray(0.5 * (covariance + covariance.T))
-
-
-def _checked_sd(sd_mm: ArrayLike | None, count: int) -> Array:
-    """Return a standard deviation (n,) for every pair; ones when none is stated."""
-    sd = np.array(np.broadcast_to(1.0 if sd_mm is None else np.asarray(sd_mm, dtype=float), (count,)))
-    if not np.all((sd > 0.0) & np.isfinite(sd)):
-        raise StapeskitError.of("sd_mm of a fiducial", "positive and finite", f"{np.min(sd):g}")
-    return sd
-
-
-def _distance_from_plane(points: Array) -> float:
-    """Return the largest distance of points from the best plane through them, mm."""
-    centred = points - points.mean(axis=0)
-    return float(np.max(np.abs(centred @ np.linalg.svd(centred)[2][2])))

@@ -46,24 +46,16 @@ class Result(ABC):
 
     @abstractmethod
     def plot(self) -> Figure:
-        """Return the figure that shows the result best, made by `report.figures.panels`.
-
-        A notebook shows it when it is the last line of a cell, with or without pyplot.
-        """
+        """Return the figure that shows the result best; a notebook shows it, with or without pyplot."""
 
     @abstractmethod
     def write(self, folder: Path | str, *, force: bool = False) -> tuple[Path, ...]:
         """Write the files of the command into a folder and return their paths.
 
-        Parameters
-        ----------
-        force : bool
-            Replace files that are not known as written by the command. Inputs are never replaced.
-
         Raises
         ------
         StapeskitError
-            An output is an input, or a file of another origin has its name.
+            An output is an input, or a file of another origin has its name, which ``force`` replaces.
         """
 
     @property

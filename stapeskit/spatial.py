@@ -141,19 +141,11 @@ def inertia_faults(matrix: ArrayLike, name: str = "the mass matrix", where: str 
     if not mass > 0.0:
         return [Fault(f"the mass in {name}", "positive", f"{mass:g} kg", where)]
     moments = np.linalg.eigvalsh(tensor_about_com)
+    got = f"principal moments of {', '.join(f'{value:g}' for value in moments)} kg m2"
     if moments[0] <= 0.0:
-        return [
-            Fault(
-                f"the inertia in {name}",
-                "positive definite about the centre of mass",
-                f"a smallest principal moment of {moments[0]:g} kg m2",
-                where,
-            )
-        ]
+        return [Fault(f"the inertia in {name}", "positive definite about the centre of mass", got, where)]
     if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
-        listed = ", ".join(f"{value:g}" for value in moments)
-        thing = f"the principal moments in {name}"
-        return [Fault(thing, "within the triangle inequality", f"{listed} kg m2", where)]
+        return [Fault(f"the principal moments in {name}", "within the triangle inequality", got, where)]
     return []
 
 

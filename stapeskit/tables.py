@@ -2,7 +2,7 @@
 
 Commas, semicolons or tabs between columns; decimal commas with the latter two; UTF-8 and UTF-16, byte order
 marks, any line ends, quoted cells, ``#`` comments and the ``sep=;`` line of spreadsheets are fine.
-pandas reads large tables whose rows are all alike; the others are read cell by cell, to find what is odd.
+numpy reads tables whose rows are all alike; the others are read cell by cell, to find what is odd.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +27,10 @@ Choose = Callable[[Sequence[str], str], tuple[set[str], set[str]]]
 """Takes the column names and the file's name and returns the number columns and the text columns to read;
 raises when the header is not as it must be."""
 
-MISSING = ("", "nan", "NaN", "NAN", "Nan", "-nan", "+nan", "-NaN")
-"""Number cells without a value."""
-
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf(inity)?", re.ASCII | re.IGNORECASE)
+_MISSING = re.compile(r"([+-]?nan)?", re.IGNORECASE)
 _SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
-_LARGE = 2_000_000  # bytes from which pandas takes less time, with that of loading it, than cell by cell
+_DECIMAL_COMMAS = str.maketrans(",.", ".\0")  # a decimal point among them is no number
 
 
 @dataclass(frozen=True)
@@ -48,11 +47,8 @@ class Table:
 
     Attributes
     ----------
-    file : str
-        Name of the file, for messages.
-    numbers : mapping of str to ndarray, (rows,)
-        NaN where a cell is empty.
-    texts : mapping of str to TextColumn
+    numbers, texts
+        Columns by name, (rows,); numbers are NaN where a cell is empty.
     lines : ndarray, (rows,)
         Line of each row in the file, counted from 1.
     faults : tuple of Fault
@@ -73,13 +69,9 @@ class Table:
 
     def invalid_rows(self, column: str = "") -> NDArray[np.bool_]:
         """Return which rows (rows,) have a cell, in one column or in any, that was reported as no number."""
-        lines = [
-            line
-            for fault in self.faults
-            if isinstance(fault.where, Place) and (not column or fault.thing == column)
-            for line in fault.where.numbers
-        ]
-        return np.isin(self.lines, lines)
+        chosen = [fault.where for fault in self.faults if not column or fault.thing == column]
+        places = [place.numbers for place in chosen if isinstance(place, Place)]
+        return np.isin(self.lines, [line for numbers in places for line in numbers])
 
     def where(self, row: int, column: str = "") -> Place:
         """Return the place of a row for a message."""
@@ -122,8 +114,7 @@ def read_table(path: Path, choose: Choose) -> Table:
     if not sheet.body:
         step, want = "Export it again", "a table with rows below its header"
         raise StapeskitError.of(sheet.file, want, "the header alone", next_step=step)
-    read = _read_alike(sheet, numbers, texts) if len(sheet.body) > _LARGE else None
-    return _read_cells(sheet, numbers, texts) if read is None else read
+    return _read_alike(sheet, numbers, texts) or _read_cells(sheet, numbers, texts)
 
 
 def write_columns(path: Path, columns: Mapping[str, Iterable[object]]) -> None:
@@ -165,7 +156,9 @@ def _open(path: Path) -> _Sheet:
     if twice := sorted(name for name, times in Counter(header).items() if name and times > 1):
         got, step = f"{', '.join(twice)} twice", "Rename or remove one of them"
         raise StapeskitError.of("column names", "different", got, where, step)
-    return _Sheet(file, tuple(header), separator, _without_empty_end(rest), line)
+    full = len(rest.rstrip(b" \t\r\n;,"))  # without empty rows at the end, which spreadsheets write
+    last = rest.find(b"\n", full)
+    return _Sheet(file, tuple(header), separator, rest[: last + 1 or None] if full else b"", line)
 
 
 def _bytes(path: Path) -> bytes:
@@ -194,17 +187,6 @@ def _bytes(path: Path) -> bytes:
     return data
 
 
-def _without_empty_end(body: bytes) -> bytes:
-    """Drop the last lines when they hold nothing but separators."""
-    stop = len(body)
-    while stop:
-        begin = body.rfind(b"\n", 0, stop - 1) + 1
-        if body[begin:stop].strip(b" \t\r\n;,"):
-            break
-        stop = begin
-    return body[:stop]
-
-
 def _column_name(cell: str) -> str:
     """Write a column's name in lower case with underscores: ``Re [µm/s]`` is ``re_um_s``."""
     name = cell.strip().strip('"').lower()
@@ -214,47 +196,29 @@ def _column_name(cell: str) -> str:
 
 
 def _read_alike(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table | None:
-    """Read a table whose rows all have as many plain cells; None for another one, and for odd numbers."""
-    import pandas as pd
+    """Read a table whose rows all have as many plain cells, no number missing; None for another one."""
+    text = sheet.body.decode("utf-8")
+    lines = text.removesuffix("\n").split("\n")
+    alike = {line.count(sheet.separator) for line in lines} == {len(sheet.header) - 1}
+    if not alike or '"' in text or "#" in text:
+        return None
+    commas = sheet.separator != "," and text.count(",") > text.count(".")
+    plain = [line.translate(_DECIMAL_COMMAS) for line in lines] if commas else lines
+    columns = [place for place, name in enumerate(sheet.header) if name in numbers]
 
-    body = sheet.body if sheet.body.endswith(b"\n") else sheet.body + b"\n"
-    if b'"' in body or b"#" in body:
-        return None
-    letters = np.frombuffer(body, dtype=np.uint8)
-    ends = letters == ord("\n")
-    marks = np.flatnonzero(ends | (letters == ord(sheet.separator)))
-    last_of_row = np.flatnonzero(ends[marks])
-    width = len(sheet.header)
-    if np.any(np.diff(last_of_row, prepend=-1) != width):
-        return None
-    commas = sheet.separator != "," and body.count(b",") > body.count(b".")
+    def cells(rows: list[str], kind: type, wanted: list[int]) -> NDArray[Any]:
+        return np.loadtxt(rows, kind, None, sheet.separator, usecols=wanted, ndmin=2, quotechar=None)
+
     try:
-        frame = pd.read_csv(
-            io.BytesIO(body),
-            sep=sheet.separator,
-            header=None,
-            names=[name or f"column {place}" for place, name in enumerate(sheet.header)],
-            usecols=[*numbers, *texts],
-            dtype={**dict.fromkeys(numbers, float), **dict.fromkeys(texts, str)},
-            decimal="," if commas else ".",
-            keep_default_na=False,
-            na_values={name: list(MISSING) for name in numbers},
-            skip_blank_lines=False,
-            skipinitialspace=True,
-            low_memory=False,
-        )
+        found = cells(plain, float, columns)
+        words = {name: cells(lines, str, [sheet.header.index(name)])[:, 0].tolist() for name in texts}
     except ValueError:
         return None
-    values = {name: frame[name].to_numpy(float) for name in sheet.header if name in numbers}
-    empty = np.all([np.isnan(column) for column in values.values()], axis=0)
-    if len(frame) != len(last_of_row) or np.any(empty):  # a return within a row; perhaps an empty row
+    if len(found) != len(lines):  # a return within a row
         return None
-    words = {}
-    for name in texts:
-        codes, different = pd.factorize(frame[name])
-        encoded = _encode(different)
-        words[name] = TextColumn(encoded.codes[codes], encoded.names)
-    return Table(sheet.file, values, words, sheet.line + np.arange(len(frame), dtype=np.int64))
+    values = {sheet.header[place]: found[:, k] for k, place in enumerate(columns)}
+    encoded = {name: _encode(column) for name, column in words.items()}
+    return Table(sheet.file, values, encoded, sheet.line + np.arange(len(lines), dtype=np.int64))
 
 
 def _encode(column: Iterable[str]) -> TextColumn:
@@ -294,40 +258,28 @@ def _read_cells(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table:
         else:
             kept.append(cells)
             lines.append(line)
-    columns = {name: [cells[sheet.header.index(name)] for cells in kept] for name in (*numbers, *texts)}
-    comma = sum("," in cell for name in numbers for cell in columns[name])
-    point = sum("." in cell for name in numbers for cell in columns[name])
-    decimal = "," if sheet.separator != "," and comma > point else "."
-    values = {
-        name: _parse(columns[name], name, decimal, sheet.file, lines, faults)
-        for name in sheet.header
-        if name in numbers
-    }
+    columns = {name: [row[sheet.header.index(name)] for row in kept] for name in (*numbers, *texts)}
+    comma, point = (sum(mark in cell for name in numbers for cell in columns[name]) for mark in ",.")
+    commas, values = sheet.separator != "," and comma > point, {}
+    for name in sorted(numbers, key=sheet.header.index):
+        values[name] = np.full(len(kept), np.nan)
+        for place, cell in enumerate(columns[name]):
+            plain = cell.translate(_DECIMAL_COMMAS) if commas else cell
+            if _NUMBER.fullmatch(plain):
+                values[name][place] = float(plain)
+            elif not _MISSING.fullmatch(cell):
+                shown = "".join(letter if letter.isprintable() else "?" for letter in cell)
+                where = Place(sheet.file, "line", (lines[place],))
+                faults.append(Fault(name, "a number", f'"{shown}"', where, _hint(cell, commas)))
     faults.sort(key=lambda fault: fault.where.numbers[0] if isinstance(fault.where, Place) else 0)
     words = {name: _encode(columns[name]) for name in texts}
     return Table(sheet.file, values, words, np.array(lines, dtype=np.int64), tuple(faults), comments)
 
 
-def _parse(
-    cells: Sequence[str], column: str, decimal: str, file: str, lines: Sequence[int], faults: list[Fault]
-) -> Array:
-    """Return the numbers of a column, NaN with a fault noted where a cell holds none."""
-    values = np.full(len(cells), np.nan)
-    for row, cell in enumerate(cells):
-        plain = cell.replace(".", " ").replace(",", ".") if decimal == "," else cell
-        if _NUMBER.fullmatch(plain):
-            values[row] = float(plain)
-        elif cell not in MISSING:
-            shown = "".join(letter if letter.isprintable() else "?" for letter in cell)
-            where = Place(file, "line", (lines[row],))
-            faults.append(Fault(column, "a number", f'"{shown}"', where, _hint(cell, decimal)))
-    return values
-
-
-def _hint(cell: str, decimal: str) -> str:
-    if "," in cell and decimal == ".":
+def _hint(cell: str, commas: bool) -> str:
+    if "," in cell and not commas:
         return "Write a point for decimals and nothing between thousands, or semicolons between the columns"
-    if "." in cell and decimal == ",":
+    if "." in cell and commas:
         return "Write decimal commas or decimal points throughout, and nothing between thousands"
     if not any(letter.isdigit() for letter in cell):
         return "Leave the cell empty where the value is missing; units belong in the names of the columns"

@@ -1,7 +1,6 @@
-"""Warnings as data: a code and a text; all codes are in the ``warnings.toml`` of their package.
+"""Warnings as data: a `Notice` where one arises, and an entry for its code in a room's ``warnings.toml``.
 
-A warning is a `Notice` where it arises and an entry in the ``warnings.toml`` of its room, which says what the
-code means; ``python -m stapeskit.warnings`` prints all of them as a page.
+``python -m stapeskit.warnings`` prints all entries as a page.
 """
 
 from __future__ import annotations
@@ -38,17 +37,7 @@ class Notice:
 
 @dataclass(frozen=True)
 class WarningEntry:
-    """What a code means.
-
-    Attributes
-    ----------
-    meaning, what_to_do : str
-        For docs/warnings.md.
-    verdict : str
-        On a result that has the warning, one of `VERDICTS`.
-    room : str
-        The package that gives it, one of `ROOMS`.
-    """
+    """What a code means, what to do, the verdict on a result that has it, and the room that gives it."""
 
     meaning: str
     what_to_do: str
@@ -64,10 +53,8 @@ def table() -> Mapping[str, WarningEntry]:
     root = Path(__file__).resolve().parents[1]
     entries: dict[str, WarningEntry] = {}
     for room in ROOMS:
-        path = root / room / "warnings.toml"
-        if path.is_file():
-            found = tomllib.loads(path.read_text(encoding="utf-8"))
-            entries |= {code: WarningEntry(**entry, room=room) for code, entry in found.items()}
+        found = tomllib.loads((root / room / "warnings.toml").read_text(encoding="utf-8"))
+        entries |= {code: WarningEntry(**entry, room=room) for code, entry in found.items()}
     return entries
 
 

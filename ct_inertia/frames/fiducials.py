@@ -111,7 +111,6 @@ def plate_frame_from_fiducials(fiducials: PlateFiducials, stapes_mm: Array) -> P
         to="scan",
         source="plate",
         names=fiducials.names,
-        kind="plate fiducials",
     )
     return PlateFrame(fit.transform, fit.covariance_si, np.zeros((0, 3)), False, "fiducials", fit.notices)
 

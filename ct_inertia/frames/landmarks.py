@@ -12,8 +12,8 @@ import numpy as np
 from ct_inertia.frames.anatomy import LANDMARK_NAMES
 from ct_inertia.scan.place import mm_per_unit
 from stapeskit.arrays import Array
+from stapeskit.documents import read_json
 from stapeskit.faults import Fault, StapeskitError, raise_all
-from stapeskit.records.json_files import read_json
 from stapeskit.tables import read_table
 
 Named = list[tuple[str, Array]]

@@ -15,7 +15,7 @@ from fitting.plane import INPLANE_DOF
 from fitting.ring import ring_of
 from fitting.solve import bic, entry_scale
 from stapeskit.arrays import Array, finite_or_none
-from stapeskit.records.json_files import as_json
+from stapeskit.documents import as_json
 from stapeskit.report.quantities import si_unit
 
 if TYPE_CHECKING:

@@ -141,7 +141,7 @@ def _registration(result: MotionResult) -> list[Markup]:
         caption = (
             f"Residuals in µm, axes of the frame {fit.transform.to}; rms {1e3 * fit.rms_mm:.0f} µm{chi2}."
         )
-        blocks = [page.table((fit.kind, "x", "y", "z", "sd"), rows, caption)]
+        blocks = [page.table(("fiducials", "x", "y", "z", "sd"), rows, caption)]
     if result.checks:
         rows = [
             (check.body, str(len(check.points)), f"{1e3 * check.rms_mm:.0f}",

@@ -79,7 +79,7 @@ def registration_rows(result: MotionResult) -> list[tuple[str, str]]:
     else:
         turn, shift = pose_sd(result)
         text = (
-            f"{len(fit.residuals_mm)} {fit.kind} in frame {placement.reference}, rms {1e3 * fit.rms_mm:.0f} "
+            f"{len(fit.residuals_mm)} fiducials in frame {placement.reference}, rms {1e3 * fit.rms_mm:.0f} "
             f"µm; at the footplate sd {1e3 * shift:.0f} µm, {turn:.2g}°"
         )
         rows = [("registration", text)]
@@ -113,7 +113,6 @@ def registration_json(result: MotionResult) -> dict[str, Any]:
     if fit is not None:
         turn, shift = pose_sd(result)
         found["registration"] = {
-            "kind": fit.kind,
             "names": list(fit.names),
             "residuals_mm": fit.residuals_mm.tolist(),
             "rms_mm": fit.rms_mm,

@@ -6,7 +6,8 @@ What defines the body must be possible, and the rest must follow from it: the wr
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,19 +15,21 @@ from typing import Any
 import numpy as np
 
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, StapeskitError, raise_all
-from stapeskit.frames import RigidTransform, transform_faults
-from stapeskit.records.json_files import as_json, read_json
+from stapeskit.documents import as_json, read_json
+from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
+from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.records.mass_record import FLOOR, SAME, MassRecord, statements
-from stapeskit.spatial import DOF_NAMES, central_tensor, inertia_faults, matrix_from_parameters
-from stapeskit.warnings import Notice, from_json
+from stapeskit.spatial import central_tensor
+from stapeskit.warnings import from_json
 
 SCHEMA = "stapeskit.mass/1"
 MADE_BY = "Make the file with ct2mass"
 
 _SAME_MASS = 1e-4  # relative difference of mass and volume times density, which people type
 _POSE_SCALE = np.array([1e-3] * 3 + [1.0] * 3)
+_POSE = "frames.pose_covariance.scan_from_"
+_OPTIONAL = ("mass_matrix_plate_axes", "mass_matrix_reduced", f"{_POSE}footplate", f"{_POSE}plate")
 
 
 def mass_json(
@@ -43,58 +46,47 @@ def mass_json(
     provenance : mapping
         Block of `stapeskit.provenance.record`.
     further : mapping
-        What does not follow from the record, joined key by key: ``uncertainty``, ``found``,
-        ``{"frames": {"side": ...}}``. It cannot replace what follows.
+        What does not follow from the record: ``uncertainty``, ``found``, ``{"frames": {"side": ...}}``. It
+        cannot replace what follows.
 
     Raises
     ------
     StapeskitError
         The content is not one that `mass_record` accepts.
     """
-    frames: dict[str, Any] = {"pose_covariance": {"scan_from_plate": None}}
-    poses = [("footplate", record.scan_from_footplate, record.footplate_covariance)]
-    if record.scan_from_plate is not None:
-        covariance = np.zeros((6, 6)) if record.plate_covariance is None else record.plate_covariance
-        poses.append(("plate", record.scan_from_plate, covariance))
-    for name, transform, covariance in poses:
-        convention = f"displacement of the {name} frame in its own axes, m and rad"
-        frames[f"scan_from_{name}"] = transform.matrix
-        block = {"names": DOF_NAMES, "convention": convention, "matrix_si": covariance}
-        frames["pose_covariance"][f"scan_from_{name}"] = block
-    mass = record.mass_matrix
-    defining = {
+    mass, plate = record.mass_matrix, record.scan_from_plate
+    values = {
         "schema": SCHEMA,
         "density_kg_m3": record.density_kg_m3,
         "volume_m3": record.volume_m3,
-        "frames": {"scan_from_plate": None, "plate_from_footplate": None, **frames},
-        "inertial_parameters": {
-            "values_si": mass.parameters,
-            "covariance_si": mass.covariance,
-            "contributions_si": mass.contributions,
-        },
-        "mass_matrix_plate_axes": None,
+        **{path: value for path, (value, _) in statements(record).items()},
+        "inertial_parameters.values_si": mass.parameters,
+        "inertial_parameters.covariance_si": mass.covariance,
+        "inertial_parameters.contributions_si": mass.contributions,
+        "frames.scan_from_footplate": record.scan_from_footplate.matrix,
+        "frames.scan_from_plate": None if plate is None else plate.matrix,
+        f"{_POSE}footplate.matrix_si": record.footplate_covariance,
         "warnings": [notice.as_json() for notice in record.notices],
-        "provenance": dict(provenance or {}),
+        "provenance": provenance or {},
     }
-    follows: dict[str, Any] = {}
-    for path, (value, _) in statements(record).items():
-        parent, _, key = path.rpartition(".")
-        inner: dict[str, Any] = follows.setdefault(parent, {}) if parent else follows
-        inner[key] = value
-    content: dict[str, Any] = as_json(_joined(further or {}, _joined(defining, follows)))
-    order = dict.fromkeys([*follows, *defining, *content])
-    content = {key: content[key] for key in ("schema", *order)}
+    if plate is None:
+        values |= dict.fromkeys(("frames.plate_from_footplate", "mass_matrix_plate_axes", f"{_POSE}plate"))
+    else:
+        covariance = record.plate_covariance
+        values[f"{_POSE}plate.matrix_si"] = np.zeros((6, 6)) if covariance is None else covariance
+    content: dict[str, Any] = {}
+    for path, value in values.items():
+        *parents, key = path.split(".")
+        place = content
+        for parent in parents:
+            place = place.setdefault(parent, {})
+        place[key] = value
+    for key, value in (further or {}).items():
+        own = content.get(key, value)
+        content[key] = {**value, **own} if isinstance(value, Mapping) and isinstance(own, Mapping) else own
+    content = as_json(content)
     mass_record(content)
     return content
-
-
-def _joined(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
-    """Join two nested mappings; where both have a value, the second counts."""
-    joined = dict(first)
-    for key, value in second.items():
-        both = isinstance(value, Mapping) and isinstance(joined.get(key), Mapping)
-        joined[key] = _joined(joined[key], value) if both else value
-    return joined
 
 
 def read_mass_json(path: Path) -> MassRecord:
@@ -106,17 +98,11 @@ def read_mass_json(path: Path) -> MassRecord:
         The file is missing, is no JSON, has another schema, lacks a key, contradicts itself, or holds a
         matrix that no rigid body can have. Every fault found is listed.
     """
-    path = Path(path)
-    return mass_record(read_json(path, "the mass file", MADE_BY), path.name)
+    return mass_record(read_json(Path(path), "the mass file", MADE_BY), Path(path).name)
 
 
 def mass_record(raw: Mapping[str, Any], name: str = "mass.json") -> MassRecord:
-    """Check the content of a ``mass.json``, read from a file or just computed.
-
-    Parameters
-    ----------
-    name : str
-        What it is called in messages.
+    """Check the content of a ``mass.json``, read from a file or just computed; ``name`` is for messages.
 
     Raises
     ------
@@ -126,29 +112,9 @@ def mass_record(raw: Mapping[str, Any], name: str = "mass.json") -> MassRecord:
     if raw.get("schema") != SCHEMA:
         raise StapeskitError.of("schema", f'"{SCHEMA}"', raw.get("schema"), name, MADE_BY)
     file = Reader(raw, name)
-    footplate, footplate_pose = _pose(file, "footplate")
-    plate, plate_pose = _pose(file, "plate")
-    notices, mass = _notices(file), _mass_matrix(file)
-    density, volume = (file.positive(key) for key in ("density_kg_m3", "volume_m3"))
-    if mass is None or footplate is None:
+    record = _record(file)
+    if record is None:
         raise StapeskitError(*file.faults)
-    bone_alone = not file.mapping("found").get("added_masses")
-    if density is not None and volume is not None and bone_alone:
-        product, whole = density * volume, float(mass.parameters[0])
-        if abs(product / whole - 1.0) > _SAME_MASS:
-            got = f"{product:g} kg against {whole:g} kg"
-            file.fault("density_kg_m3 times volume_m3", "the mass of inertial_parameters", got)
-    record = MassRecord(
-        mass,
-        footplate,
-        footplate_pose,
-        plate,
-        None if plate is None else plate_pose,
-        density,
-        volume,
-        notices,
-        dict(raw),
-    )
     _compare(file, record)
     raise_all(file.faults)
     return record
@@ -167,19 +133,24 @@ class Reader:
         shown = text if len(text) <= 60 else text[:57] + "..."
         self.faults.append(Fault(thing, expected, shown, self.name, MADE_BY))
 
-    def get(self, *path: str) -> Any:
-        """Return the value at a path of keys; None where there is none."""
-        value: Any = self.raw
-        for key in path:
-            value = value.get(key) if isinstance(value, Mapping) else None
-        return value
+    @contextmanager
+    def collecting(self) -> Iterator[None]:
+        """Collect the faults that types find in their parts, with file and next step."""
+        found: list[Fault] = []
+        with collect_faults(found):
+            yield
+        self.faults += [replace(one, where=self.name, next_step=one.next_step or MADE_BY) for one in found]
 
-    def mapping(self, *path: str) -> Mapping[str, Any]:
-        """Return an optional object; empty when it is missing, or no object, which is a fault."""
-        value = self.get(*path)
+    def object(self, *path: str) -> Mapping[str, Any]:
+        """Return the object at a path of keys; empty when it is missing, or no object, which is a fault."""
+        value = self.get(*path) if path else self.raw
         if value is not None and not isinstance(value, Mapping):
             self.fault(".".join(path), "an object", value)
         return value if isinstance(value, Mapping) else {}
+
+    def get(self, *path: str) -> Any:
+        """Return the value at a path of keys; None where there is none."""
+        return self.object(*path[:-1]).get(path[-1])
 
     def numbers(self, *path: str, shape: tuple[int, ...] = (), optional: bool = False) -> Array | None:
         """Return finite numbers of one shape, or None: with a fault noted unless they are optional."""
@@ -194,14 +165,6 @@ class Reader:
             return None
         return array
 
-    def positive(self, key: str) -> float | None:
-        """Return an optional positive number."""
-        value = self.numbers(key, optional=True)
-        if value is not None and not value > 0.0:
-            self.fault(key, "positive", f"{value:g}")
-            return None
-        return None if value is None else float(value)
-
     def covariance(self, *path: str, scale: Array) -> Array | None:
         """Return a covariance that is symmetric and positive semidefinite, or None with a fault noted.
 
@@ -210,15 +173,11 @@ class Reader:
         matrix = self.numbers(*path, shape=(len(scale), len(scale)))
         if matrix is None:
             return None
-        root = np.maximum(np.sqrt(np.abs(np.diag(matrix))), FLOOR * scale)
-        relative = matrix / np.outer(root, root)
-        if np.max(np.abs(relative - relative.T)) > FLOOR:
-            self.fault(".".join(path), "symmetric", "an asymmetric matrix")
-            return None
+        relative = matrix / _roots(matrix, scale)
         lowest = float(np.linalg.eigvalsh(0.5 * (relative + relative.T))[0])
-        if lowest < -FLOOR:
-            got = f"a matrix whose correlations have the eigenvalue {lowest:.3g}"
-            self.fault(".".join(path), "a covariance (positive semidefinite)", got)
+        if np.max(np.abs(relative - relative.T)) > FLOOR or lowest < -FLOOR:
+            got = f"a matrix that is asymmetric, or whose correlations have the eigenvalue {lowest:.3g}"
+            self.fault(".".join(path), "a covariance (symmetric, positive semidefinite)", got)
             return None
         return matrix
 
@@ -237,76 +196,84 @@ def _array(value: Any) -> Array | None:
         return None
 
 
-def _notices(file: Reader) -> tuple[Notice, ...]:
-    values = file.get("warnings") or []
-    if not isinstance(values, list) or not all(
-        isinstance(value, Mapping) and isinstance(value.get(key), str)
-        for value in values
-        for key in ("code", "text")
-    ):
-        file.fault("warnings", "a list of objects with code and text", values)
-        return ()
-    return from_json(values)
+def _roots(covariance: Array, scale: Array) -> Array:
+    """Return the products of the standard deviations, each at least the rounding of its parameter."""
+    root = np.maximum(np.sqrt(np.abs(np.diag(covariance))), FLOOR * scale)
+    return np.outer(root, root)
+
+
+def _record(file: Reader) -> MassRecord | None:
+    """Return what defines the body, or None where that is at fault."""
+    try:
+        notices = from_json(file.get("warnings") or ())
+    except (TypeError, KeyError):
+        file.fault("warnings", "a list of objects with code and text", file.get("warnings"))
+        notices = ()
+    poses = [_pose(file, name) for name in ("footplate", "plate")]
+    sizes = [file.numbers(key, optional=True) for key in ("density_kg_m3", "volume_m3")]
+    bone_alone = not file.get("found", "added_masses")
+    mass = _mass_matrix(file)
+    (footplate, footplate_pose), (plate, plate_pose) = poses
+    if mass is None or footplate is None:
+        return None
+    density, volume = (None if size is None else float(size) for size in sizes)
+    whole = float(mass.parameters[0])
+    product = whole if density is None or volume is None or not bone_alone else density * volume
+    if abs(product / whole - 1.0) > _SAME_MASS or min(density or 1.0, volume or 1.0) < 0.0:
+        got = f"{product:g} kg against {whole:g} kg"
+        file.fault("density_kg_m3 times volume_m3", "the mass of inertial_parameters, both positive", got)
+    known = (density, volume, notices, dict(file.raw))
+    return MassRecord(mass, footplate, footplate_pose, plate, None if plate is None else plate_pose, *known)
 
 
 def _pose(file: Reader, name: str) -> tuple[RigidTransform | None, Array]:
     """Return a frame in the scan and the covariance of its displacement, zero when it is not stated."""
-    key = f"scan_from_{name}"
-    path, covariance = ("frames", "pose_covariance", key), None
-    if name == "footplate":
-        file.mapping("frames")
-    if file.mapping("frames", "pose_covariance").get(key) is not None:
+    key, covariance = f"scan_from_{name}", None
+    path = ("frames", "pose_covariance", key)
+    if file.get(*path) is not None:
         covariance = file.covariance(*path, "matrix_si", scale=_POSE_SCALE)
-        names = file.get(*path, "names")
-        if names not in (None, list(DOF_NAMES)):
-            file.fault(".".join((*path, "names")), ", ".join(DOF_NAMES), names)
     matrix = file.numbers("frames", key, shape=(4, 4), optional=name == "plate")
-    faults = [] if matrix is None else transform_faults(matrix, f"frames.{key}", file.name)
-    file.faults += [replace(fault, next_step=fault.next_step or MADE_BY) for fault in faults]
-    transform = None if matrix is None or faults else RigidTransform(matrix, "scan", name)
-    return transform, np.zeros((6, 6)) if covariance is None else covariance
+    with file.collecting():
+        transform = None if matrix is None else RigidTransform(matrix, "scan", name)
+        return transform, np.zeros((6, 6)) if covariance is None else covariance
+    return None, np.zeros((6, 6))
 
 
 def _mass_matrix(file: Reader) -> MassMatrix | None:
     """Return parameters and covariance, or None with faults noted."""
-    block = "inertial_parameters"
+    block, key = "inertial_parameters", "contributions_si"
     parameters = file.numbers(block, "values_si", shape=(10,))
     if parameters is None:
         return None
-    impossible = inertia_faults(matrix_from_parameters(parameters), f"{block}.values_si", file.name)
-    file.faults += [replace(fault, next_step=fault.next_step or MADE_BY) for fault in impossible]
-    if impossible:
-        return None
-    mass, tensor = central_tensor(parameters)
-    length = float(np.sqrt(np.trace(tensor) / mass))
-    scale = mass * np.array([1.0, *[length] * 3, *[length**2] * 6])
-    total = file.covariance(block, "covariance_si", scale=scale)
-    names = file.mapping(block, "contributions_si")
-    parts = {name: file.covariance(block, "contributions_si", name, scale=scale) for name in names}
-    sound = {name: part for name, part in parts.items() if part is not None}
-    if total is None or len(sound) < len(parts):
-        return None
-    if sound:
-        root = np.maximum(np.sqrt(np.abs(np.diag(total))), FLOOR * scale)
-        if np.max(np.abs(sum(sound.values()) - total) / np.outer(root, root)) > FLOOR:
+    with file.collecting():
+        mass, tensor = central_tensor(MassMatrix(parameters).parameters)
+        length = float(np.sqrt(np.trace(tensor) / mass))
+        scale = mass * np.array([1.0, *[length] * 3, *[length**2] * 6])
+        total = file.covariance(block, "covariance_si", scale=scale)
+        parts = {name: file.covariance(block, key, name, scale=scale) for name in file.object(block, key)}
+        sound = {name: part for name, part in parts.items() if part is not None}
+        if total is None or len(sound) < len(parts):
+            return None
+        if sound and np.max(np.abs(sum(sound.values()) - total) / _roots(total, scale)) > FLOOR:
             file.fault(f"{block}.covariance_si", "the sum of contributions_si", "another matrix")
-    return MassMatrix(parameters, total, sound)
+        return MassMatrix(parameters, total, sound)
+    return None
 
 
 def _compare(file: Reader, record: MassRecord) -> None:
     """Compare what the file states with what follows; two blocks of matrices may be left out whole."""
     if record.scan_from_plate is None:
-        for thing in ("mass_matrix_plate_axes", "frames.plate_from_footplate"):
-            if file.get(*thing.split(".")) is not None:
-                file.fault(thing, "null in a file without frames.scan_from_plate", "a matrix")
+        for path in (("mass_matrix_plate_axes",), ("frames", "plate_from_footplate")):
+            if file.get(*path) is not None:
+                file.fault(".".join(path), "null in a file without frames.scan_from_plate", "a matrix")
     for thing, (value, scale) in statements(record).items():
-        path = thing.split(".")
-        if path[0] in ("mass_matrix_plate_axes", "mass_matrix_reduced") and not file.mapping(path[0]):
+        keys = thing.split(".")
+        if any(thing.startswith(block) and not file.object(*block.split(".")) for block in _OPTIONAL):
             continue
         if scale is None:
-            if (stated := file.get(*path)) != value:
+            if (stated := file.get(*keys)) != value:
                 file.fault(thing, ", ".join(value) if isinstance(value, list) else f'"{value}"', stated)
             continue
-        array = file.numbers(*path, shape=np.shape(value))
+        array = file.numbers(*keys, shape=np.shape(value))
         if array is not None and np.max(np.abs(array - value) / scale) > SAME:
             file.fault(thing, "what inertial_parameters and frames give", array.tolist())

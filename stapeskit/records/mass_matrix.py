@@ -19,7 +19,6 @@ from stapeskit.spatial import (
 )
 
 FRAME_SOURCE = "frame"
-"""The source of uncertainty that is an error of the footplate frame itself."""
 
 SOURCE_WORDS = {
     "levels": "grey levels of air and bone",
@@ -57,12 +56,9 @@ class MassMatrix:
     ----------
     parameters : ndarray, (10,)
         Inertial parameters about a point in some axes (kg, kg m, kg m2; PARAMETER_NAMES).
-    covariance : ndarray, (10, 10)
-        Their covariance, SI: the sum of ``contributions``. When it alone is given, its source is
-        ``unspecified``; when neither is given it is zero.
-    contributions : mapping of str to ndarray, (10, 10)
-        Covariance by independent source (``levels``, ``density``, ...). The source ``frame`` is what an
-        error of the footplate frame itself adds.
+    covariance, contributions : ndarray, (10, 10), and mapping of str to ndarray, (10, 10)
+        SI: the sum of the contributions, and these by independent source; the source ``frame`` is what an
+        error of the footplate frame itself adds. A covariance given alone has the source ``unspecified``.
     about, axes : str
         Reference point and axes.
 
@@ -130,13 +126,7 @@ class MassMatrix:
         return MassMatrix(linear @ self.parameters, contributions=parts, about=about, axes=axes)
 
     def with_frame_error(self, pose_covariance: Array) -> MassMatrix:
-        """Return the matrix with another uncertainty of its own frame.
-
-        Parameters
-        ----------
-        pose_covariance : ndarray, (6, 6)
-            Of the displacement of the frame in its own axes, m and rad. Zero removes that source.
-        """
+        """Return the matrix with another covariance (6, 6) of its frame's own displacement, m and rad."""
         linear = frame_derivative(self.parameters)
         parts = dict(self.contributions) | {FRAME_SOURCE: linear @ pose_covariance @ linear.T}
         return MassMatrix(self.parameters, contributions=parts, about=self.about, axes=self.axes)
@@ -159,14 +149,10 @@ def frame_derivative(parameters: Array) -> Array:
     M' = X^-T M X^-1 with q' = X q, so that dM = -(G^T M + M G) with G = dX: the derivative of
     `twist_transfer` by its shift, and by its rotation, which is minus the rotation of the frame.
     """
-    matrix = matrix_from_parameters(parameters)
-    columns = []
+    matrix, columns = matrix_from_parameters(parameters), []
     for axis in range(6):
         turn = -cross_matrix(np.eye(3)[axis % 3])
-        transfer = np.zeros((6, 6))
-        if axis < 3:
-            transfer[:3, 3:] = turn
-        else:
-            transfer[:3, :3] = transfer[3:, 3:] = turn
+        place = np.eye(2) if axis > 2 else np.array([[0.0, 1.0], [0.0, 0.0]])
+        transfer = np.kron(place, turn)
         columns.append(parameters_from_matrix(-(transfer.T @ matrix + matrix @ transfer)))
     return np.column_stack(columns)

@@ -18,14 +18,12 @@ from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.spatial import DOF_NAMES, PARAMETER_NAMES, central_tensor, dof_indices
 from stapeskit.warnings import Notice
 
-SAME = 1e-6
-"""Relative difference by which redundant numbers of a file may round: files with seven digits pass."""
-
 REDUCED = ("y", "alpha", "gamma")
 """Degrees of freedom of the stapes in the paper: those of the reduced matrix."""
 
-FLOOR = 1e-5
-"""Rounding of standard deviations, correlations and eigenvalues: they are written with less digits."""
+# Relative differences by which redundant numbers of a file may round: seven digits pass, and less digits of
+# standard deviations, correlations and eigenvalues.
+SAME, FLOOR = 1e-6, 1e-5
 
 
 @dataclass(frozen=True)
@@ -36,18 +34,12 @@ class MassRecord:
     ----------
     mass_matrix : MassMatrix
         About the footplate centre, in footplate axes.
-    scan_from_footplate : RigidTransform
-        Pose of the footplate frame in scan coordinates (mm).
-    footplate_covariance : ndarray, (6, 6)
-        Covariance of the footplate frame's own displacement in footplate axes (m, rad).
-    scan_from_plate : RigidTransform or None
-        Pose of the plate frame; None when the scan holds no plate.
-    plate_covariance : ndarray, (6, 6) or None
-        As ``footplate_covariance``, of the plate frame in plate axes.
+    scan_from_footplate, scan_from_plate : RigidTransform
+        Poses in scan coordinates (mm); None when the scan holds no plate.
+    footplate_covariance, plate_covariance : ndarray, (6, 6)
+        Of the displacement of each frame in its own axes (m, rad).
     density_kg_m3, volume_m3 : float or None
         Of the bone, without added masses.
-    notices : tuple of Notice
-        Warnings of ct2mass.
     raw : mapping
         The whole file.
     """
@@ -106,6 +98,7 @@ def statements(record: MassRecord) -> dict[str, tuple[Any, Any]]:
         "inertial_parameters.names": (list(PARAMETER_NAMES), None),
         "inertial_parameters.about": ("footplate_centre", None),
         "inertial_parameters.axes": ("footplate", None),
+        **_pose("footplate"),
         **_block("mass_matrix", record.mass_matrix, DOF_NAMES),
         **_block("mass_matrix_reduced", record.mass_matrix, REDUCED),
     }
@@ -113,8 +106,17 @@ def statements(record: MassRecord) -> dict[str, tuple[Any, Any]]:
     if plate is not None and in_plate_axes is not None:
         lengths = [float(np.linalg.norm(pose.translation_mm)) for pose in (plate, scan)]
         found["frames.plate_from_footplate"] = (plate.matrix, np.array([1.0, 1.0, 1.0, max(1.0, *lengths)]))
-        found |= _block("mass_matrix_plate_axes", in_plate_axes, DOF_NAMES)
+        found |= _block("mass_matrix_plate_axes", in_plate_axes, DOF_NAMES) | _pose("plate")
     return found
+
+
+def _pose(name: str) -> dict[str, tuple[Any, None]]:
+    """Return what the covariance of a pose is about."""
+    path, words = (
+        f"frames.pose_covariance.scan_from_{name}",
+        "displacement of the {} frame in its own axes, m and rad",
+    )
+    return {f"{path}.names": (list(DOF_NAMES), None), f"{path}.convention": (words.format(name), None)}
 
 
 def _block(path: str, mass: MassMatrix, dof: Sequence[str]) -> dict[str, tuple[Any, Any]]:

@@ -1,8 +1,4 @@
-"""A mass record with the surfaces of its scan, from files or from memory.
-
-The room that measures motion reads mass, frames and surfaces from here, whether they come from the folder of
-a mass.json or straight from the result of ct2mass.
-"""
+"""A mass record with the surfaces of its scan, from the folder of a mass.json or straight from ct2mass."""
 
 from __future__ import annotations
 
@@ -45,7 +41,7 @@ class MeasuredMass:
 
     @property
     def provenance_input(self) -> Path | Mapping[str, Any] | None:
-        """The file, or a description of a mass in memory; an input of `stapeskit.provenance.record`."""
+        """What an input of `stapeskit.provenance.record` is: the file, or the source of a mass in memory."""
         return self.file or self.source or None
 
 

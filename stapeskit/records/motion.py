@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from stapeskit.arrays import ComplexArray
 from stapeskit.faults import Fault, Place, StapeskitError, raise_all
 from stapeskit.provenance import sha256
-from stapeskit.records.rigid_motion import RigidMotion, SharedErrors
+from stapeskit.records.rigid_motion import RigidMotion as RigidMotion
+from stapeskit.records.rigid_motion import SharedErrors as SharedErrors
 from stapeskit.sandbox import read_apart
 from stapeskit.spatial import DOF_NAMES, DOF_UNITS
 from stapeskit.tables import Table, TextColumn, read_table, write_columns
@@ -24,9 +25,6 @@ from stapeskit.warnings import Notice, from_json
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-__all__ = ["RigidMotion", "SharedErrors", "motion_columns", "motion_frame", "read_motion", "write_motion",
-           "write_motion_mat"]  # fmt: skip
-
 SCHEMA = "stapeskit.dof/1"
 MADE_BY = "Make the file with points2dof"
 LARGEST_COUNT = 1e15
@@ -34,6 +32,10 @@ LARGEST_COUNT = 1e15
 
 _PER_REFERENCE = "_per_ref"
 _FURTHER = ("chi2", "n_dof")
+# What is stored, by its kind: fields of RigidMotion, and arrays of its SharedErrors.
+_TEXTS, _WORDS = ("runs", "bodies", "dof"), ("reference", "about", "axes")
+_ARRAYS = ("freq_hz", "q", "covariance", *_FURTHER)
+_SHARED = ("covariance", "derivatives", "maps", "powers")
 
 
 def motion_columns(dof: Sequence[str], per_reference: bool = False) -> dict[str, list[str]]:
@@ -58,34 +60,20 @@ def write_motion_mat(path: Path, motion: RigidMotion) -> None:
     """Write a motion for MATLAB and Octave (version 5): SI, dimensions in the order of `RigidMotion`."""
     from scipy.io import savemat
 
-    def column(names: Sequence[str]) -> NDArray[np.object_]:
-        return np.array(names, dtype=object)[:, None]
-
-    content: dict[str, Any] = {
-        "q": motion.q,
-        "q_sd": motion.standard_deviation,
-        "covariance": motion.covariance,
-        "freq_hz": motion.freq_hz[:, None],
-        "dof": column(motion.dof),
-        "bodies": column(motion.bodies),
-        "runs": column(motion.runs),
-        "chi2": motion.chi2,
-        "n_dof": motion.n_dof,
-        "reference": motion.reference,
-        "about": motion.about,
-        "axes": motion.axes,
-        "readme": (
-            "q: run x body x line x dof, displacement, peak, e^(+iwt), m and rad, or per unit of the "
-            "reference; q_sd: of the real (= imaginary) part, channel noise only"
-        ),
-    }
+    readme = (
+        "q: run x body x line x dof, displacement, peak, e^(+iwt), m and rad, or per unit of the reference; "
+        "q_sd: of the real (= imaginary) part, channel noise only"
+    )
+    content: dict[str, Any] = {"readme": readme, "q_sd": motion.standard_deviation}
+    content |= {name: getattr(motion, name) for name in (*_TEXTS, *_WORDS, *_ARRAYS)}
     if motion.shared is not None:
-        content |= {
-            "shared_names": column(motion.shared.names),
-            "shared_covariance": motion.shared.covariance,
-            "shared_derivatives": motion.shared.derivatives,
-        }
-    savemat(path, content)
+        content |= {f"shared_{name}": getattr(motion.shared, name) for name in ("names", *_SHARED)}
+    for name, value in content.items():
+        if isinstance(value, tuple):
+            content[name] = np.array(value, dtype=object)[:, None]
+        elif name == "freq_hz":
+            content[name] = value[:, None]
+    savemat(path, {name: value for name, value in content.items() if value is not None})
 
 
 def motion_frame(motion: RigidMotion) -> DataFrame:
@@ -125,28 +113,28 @@ def _write_h5(path: Path, motion: RigidMotion, csv_hash: str) -> None:
 
     image = io.BytesIO()
     with h5py.File(image, "w") as file:
-        file.attrs["schema"] = SCHEMA
-        file.attrs["about"], file.attrs["axes"] = motion.about, motion.axes
-        file.attrs["reference"], file.attrs["csv_hash"] = motion.reference, csv_hash
+        file.attrs["schema"], file.attrs["csv_hash"] = SCHEMA, csv_hash
         file.attrs["units"] = "q: m and rad, peak displacement amplitudes, e^{+iwt}; covariance: E[dq dq^H]"
         file.attrs["notices"] = json.dumps([notice.as_json() for notice in motion.notices])
         file.attrs["provenance"] = json.dumps(dict(motion.provenance))
-        for name in ("runs", "bodies", "dof"):
-            file[name] = np.array(getattr(motion, name), dtype=h5py.string_dtype())
-        for name in ("freq_hz", "q", "covariance", *_FURTHER):
-            _store(file, name, getattr(motion, name))
+        for name in _WORDS:
+            file.attrs[name] = getattr(motion, name)
+        _store(file, motion, _TEXTS, _ARRAYS)
         if motion.shared is not None:
-            group = file.create_group("shared")
-            group["names"] = np.array(motion.shared.names, dtype=h5py.string_dtype())
-            for name in ("covariance", "derivatives", "maps", "powers"):
-                _store(group, name, getattr(motion.shared, name))
+            _store(file.create_group("shared"), motion.shared, ("names",), _SHARED)
     path.write_bytes(image.getvalue())
 
 
-def _store(group: Any, name: str, values: NDArray[Any] | None) -> None:
-    """Store an array, if there is one, with checksums: a damaged file is refused instead of read."""
-    if values is not None:
-        group.create_dataset(name, data=values, **({"fletcher32": True} if values.size else {}))
+def _store(group: Any, source: object, texts: Sequence[str], arrays: Sequence[str]) -> None:
+    """Store attributes that are there; arrays with checksums, so that a damaged file is refused."""
+    import h5py
+
+    for name in texts:
+        group[name] = np.array(getattr(source, name), dtype=h5py.string_dtype())
+    for name in arrays:
+        values = getattr(source, name)
+        if values is not None:
+            group.create_dataset(name, data=values, **({"fletcher32": True} if values.size else {}))
 
 
 def read_motion(path: Path) -> RigidMotion:
@@ -171,15 +159,15 @@ def read_motion(path: Path) -> RigidMotion:
     if path.suffix.lower() != ".csv":
         raise StapeskitError.of("a motion file", "a .csv or .h5 file of points2dof", path.name)
     beside = path.with_suffix(".h5")
-    notice = Notice(
-        "motion_without_h5",
+    if beside.is_file():
+        motion, csv_hash = _read_h5(beside)
+        if csv_hash == f"sha256:{sha256(path)}":
+            return motion
+    text = (
         f"{path.name} is read alone ({beside.name} is missing, or belongs to another CSV file): noise is "
-        "taken as uncorrelated between the degrees of freedom, and no registration error is known.",
+        "taken as uncorrelated between the degrees of freedom, and no registration error is known."
     )
-    if not beside.is_file():
-        return _read_csv(path, notice)
-    complete, csv_hash = _read_h5(beside)
-    return complete if csv_hash == f"sha256:{sha256(path)}" else _read_csv(path, notice)
+    return _motion_from_table(read_table(path, _choose), Notice("motion_without_h5", text))
 
 
 def _read_h5(path: Path) -> tuple[RigidMotion, str]:
@@ -198,25 +186,13 @@ def _read_h5(path: Path) -> tuple[RigidMotion, str]:
 
 
 def _motion_from_h5(file: Any) -> RigidMotion:
-    def words(item: Any) -> tuple[str, ...]:
-        return tuple(word.decode() for word in item[()])
+    def stored(group: Any, texts: Sequence[str], arrays: Sequence[str]) -> dict[str, Any]:
+        words = {name: tuple(word.decode() for word in group[name][()]) for name in texts}
+        return words | {name: group[name][()] for name in arrays if name in group}
 
-    def stored(group: Any, *names: str) -> dict[str, Any]:
-        return {name: group[name][()] for name in names if name in group}
-
-    shared = None
-    if "shared" in file:
-        group = file["shared"]
-        parts = stored(group, "covariance", "derivatives", "maps", "powers")
-        shared = SharedErrors(words(group["names"]), **parts)
+    shared = SharedErrors(**stored(file["shared"], ("names",), _SHARED)) if "shared" in file else None
     return RigidMotion(
-        words(file["runs"]),
-        words(file["bodies"]),
-        words(file["dof"]),
-        **stored(file, "freq_hz", "q", "covariance", *_FURTHER),
-        reference=str(file.attrs["reference"]),
-        about=str(file.attrs["about"]),
-        axes=str(file.attrs["axes"]),
+        **stored(file, _TEXTS, _ARRAYS) | {name: str(file.attrs[name]) for name in _WORDS},
         shared=shared,
         notices=from_json(json.loads(file.attrs["notices"])),
         provenance=json.loads(file.attrs["provenance"]),
@@ -228,24 +204,19 @@ def _dof_of(header: Collection[str]) -> tuple[str, ...]:
     return tuple(name for name in DOF_NAMES if any(column.startswith(f"{name}_re_") for column in header))
 
 
-def _read_csv(path: Path, notice: Notice) -> RigidMotion:
-    def choose(header: Sequence[str], name: str) -> tuple[set[str], set[str]]:
-        dof, where = _dof_of(header), Place(name, "line", (1,))
-        if any(column.endswith(_PER_REFERENCE) for column in header):
-            got, step = "the CSV file alone", "Give the .h5 file that points2dof wrote with it"
-            raise StapeskitError.of("motion per reference", "read with its covariance", got, where, step)
-        columns = motion_columns(dof)
-        needed = ["body", "freq_hz", *(column for part in columns.values() for column in part)]
-        missing = [column for column in needed if column not in header]
-        if not dof:
-            missing = ["x_re_m or another degree of freedom"]
-        if missing:
-            got, step = f"no column {', '.join(missing)}", "Give dof.csv or dof.h5 of points2dof"
-            raise StapeskitError.of("a motion file", "complete", got, where, step)
-        numbers = {*needed, *_FURTHER} - {"body"}
-        return numbers & set(header), {"run", "body"} & set(header)
-
-    return _motion_from_table(read_table(path, choose), notice)
+def _choose(header: Sequence[str], name: str) -> tuple[set[str], set[str]]:
+    """Return the columns of numbers and of texts of a motion file."""
+    dof, where = _dof_of(header), Place(name, "line", (1,))
+    if any(column.endswith(_PER_REFERENCE) for column in header):
+        got, step = "the CSV file alone", "Give the .h5 file that points2dof wrote with it"
+        raise StapeskitError.of("motion per reference", "read with its covariance", got, where, step)
+    needed = ["body", "freq_hz", *(column for part in motion_columns(dof).values() for column in part)]
+    missing = [column for column in needed if column not in header]
+    if missing or not dof:
+        listed = ", ".join(missing if dof else ["x_re_m or another degree of freedom"])
+        step = "Give dof.csv or dof.h5 of points2dof"
+        raise StapeskitError.of("a motion file", "complete", f"no column {listed}", where, step)
+    return ({*needed, *_FURTHER} - {"body"}) & set(header), {"run", "body"} & set(header)
 
 
 def _motion_from_table(table: Table, notice: Notice) -> RigidMotion:
@@ -282,22 +253,19 @@ def _motion_from_table(table: Table, notice: Notice) -> RigidMotion:
 def _cell_faults(table: Table) -> Iterator[Fault]:
     """Yield the cells that hold impossible values."""
     for name, values in table.numbers.items():
-        known = ~np.isnan(values)
+        known, low, high = ~np.isnan(values), -LARGEST, LARGEST
+        expected = f"finite and below {LARGEST:g}, or empty"
         if name == "freq_hz":
-            expected = f"from {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz"
-            wrong = ~((values >= LOWEST_HZ) & (values <= HIGHEST_HZ))
-            wrong &= known | ~table.invalid_rows(name)
+            low, high, expected = LOWEST_HZ, HIGHEST_HZ, f"from {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz"
+            known |= ~table.invalid_rows(name)
         elif name in _FURTHER:
-            expected = (
-                f"a count up to {LARGEST_COUNT:g}" if name == "n_dof" else f"from 0 to {LARGEST_COUNT:g}"
-            )
-            wrong = known & ~((values >= 0.0) & (values <= LARGEST_COUNT))
-            if name == "n_dof":
-                wrong |= known & (values != np.round(values))
+            low, high, expected = 0.0, LARGEST_COUNT, f"from 0 to {LARGEST_COUNT:g}"
         elif "_sd_" in name:
-            expected, wrong = "positive and finite", known & ~((values >= 0.0) & (values <= LARGEST))
-        else:
-            expected, wrong = f"finite and below {LARGEST:g}, or empty", np.abs(values) > LARGEST
+            low, expected = 0.0, "positive and finite"
+        wrong = known & ~((values >= low) & (values <= high))
+        if name == "n_dof":
+            expected = f"a count up to {LARGEST_COUNT:g}"
+            wrong |= known & (values != np.round(values))
         for row in np.flatnonzero(wrong).tolist():
             yield Fault(name, expected, f"{values[row]:g}", table.where(row))
     for name, cells in table.texts.items():

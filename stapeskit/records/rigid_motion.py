@@ -25,16 +25,12 @@ class SharedErrors:
         ``<source>.<parameter>``, e.g. ``registration.alpha``. The source ``footplate_frame`` (x, y, z,
         alpha, beta, gamma: displacement of the footplate frame in its own axes, m and rad) is the same
         error as in mass.json, so that fitting can join both.
-    covariance : ndarray, (p, p)
-        SI.
-    derivatives : ndarray, (p, run, body, freq, dof), complex
-        d q / d parameter.
-    maps : ndarray, (p, body, 6, 6), complex, or None
-        With ``powers``, the derivatives by their cause: d q / d parameter = (i w)^power * map @ q of the same
-        body, for motion in all six degrees of freedom. NaN for a parameter that has no such map, None when
-        no parameter has one.
-    powers : ndarray, (p,), int, or None
-        0 for a factor or a displaced frame, 1 for a delay.
+    covariance, derivatives : ndarray, (p, p), and (p, run, body, freq, dof), complex
+        SI; d q / d parameter.
+    maps, powers : ndarray, (p, body, 6, 6), complex, and (p,), int, or None
+        The derivatives by their cause: d q / d parameter = (i w)^power * map @ q of the same body, for motion
+        in all six degrees of freedom; the power is 0 for a factor or a displaced frame, 1 for a delay. NaN
+        for a parameter that has no such map, None when no parameter has one.
     """
 
     names: tuple[str, ...]
@@ -58,16 +54,14 @@ class SharedErrors:
 
 @dataclass(frozen=True)
 class RigidMotion:
-    """Displacement amplitudes q of rigid bodies under harmonic motion e^{+i w t}.
+    """Displacement amplitudes q of rigid bodies under harmonic motion e^{+i w t}; it checks its shapes.
 
     Attributes
     ----------
     runs, bodies, dof : tuple of str
         Names along the first, second and last axis of q; dof in the order of DOF_NAMES.
-    freq_hz : ndarray, (freq,)
-        Ascending, positive.
-    q : ndarray, (run, body, freq, dof), complex
-        m and rad, peak; NaN where a body was not measured at a line.
+    freq_hz, q : ndarray, (freq,), ascending, and (run, body, freq, dof), complex
+        q in m and rad, peak; NaN where a body was not measured at a line.
     covariance : ndarray, complex
         E[dq dq^H] of the channel noise: (run, body, freq, dof, dof), or joint over bodies,
         (run, freq, body*dof, body*dof), when ``reference`` is set. The variance of the real part
@@ -78,17 +72,8 @@ class RigidMotion:
         ``BODY:DOF`` when q is per unit of that motion, else empty.
     about, axes : str
         Reference point and axes of q.
-    shared : SharedErrors or None
-        Errors common to all lines.
-    notices : tuple of Notice
-        Warnings that travel with the data.
-    provenance : mapping
-        Block of `stapeskit.provenance.record`.
-
-    Raises
-    ------
-    StapeskitError
-        Shapes do not agree, or names or frequencies are not in order.
+    shared, notices, provenance
+        Errors common to all lines; warnings that travel with the data; where they come from.
     """
 
     runs: tuple[str, ...]
@@ -146,13 +131,7 @@ class RigidMotion:
         return np.asarray(np.sqrt(np.maximum(variance, 0.0) / 2.0))
 
     def body(self, name: str, option: str = "--structure") -> int:
-        """Return the position of a body.
-
-        Raises
-        ------
-        StapeskitError
-            There is no body of that name.
-        """
+        """Return the position of a body, or raise StapeskitError where there is none of that name."""
         if name not in self.bodies:
             step = f"Name one with {option}"
             raise StapeskitError.of("the body", f"one of {', '.join(self.bodies)}", name, next_step=step)

@@ -6,17 +6,8 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 PAGE_COLOURS: Mapping[str, str] = MappingProxyType(
-    {
-        "ink": "#1d2733",
-        "soft": "#56636f",
-        "line": "#d8dee5",
-        "tint": "#f3f6f9",
-        "accent": "#0a5f86",
-        "believe": "#2c8a57",
-        "check": "#c98a12",
-        "do-not-use": "#b3261e",
-        "information": "#7d8fa1",
-    }
+    {"ink": "#1d2733", "soft": "#56636f", "line": "#d8dee5", "tint": "#f3f6f9", "accent": "#0a5f86"}
+    | {"believe": "#2c8a57", "check": "#c98a12", "do-not-use": "#b3261e", "information": "#7d8fa1"}
 )
 """Colours of the page and of verdicts on results."""
 

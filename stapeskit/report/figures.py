@@ -30,13 +30,11 @@ Indices = NDArray[np.int64]
 
 RUN_STYLES = ("-", "--", ":", "-.")
 
-# Every setting that changes a figure; a matplotlibrc of the folder, which could run LaTeX, has no say.
+# What differs from matplotlib's defaults; a matplotlibrc of the folder, which could run LaTeX, has no say.
 _STYLE: Mapping[str, Any] = MappingProxyType(
     {
-        "font.family": ["sans-serif"],
         "font.sans-serif": ["DejaVu Sans", "Verdana", "sans-serif"],
         "font.size": 9.0,
-        "text.usetex": False,
         "text.color": PAGE_COLOURS["ink"],
         "axes.titlesize": 9.5,
         "axes.titlelocation": "left",
@@ -61,8 +59,6 @@ _STYLE: Mapping[str, Any] = MappingProxyType(
         "lines.markersize": 3.2,
         "legend.frameon": False,
         "legend.fontsize": 8.5,
-        "figure.facecolor": "white",
-        "savefig.facecolor": "white",
         "path.simplify_threshold": 0.25,
         "svg.fonttype": "none",
         "svg.hashsalt": "stapeskit",
@@ -103,25 +99,23 @@ def panels(
 ) -> tuple[Figure, NDArray[Any]]:
     """Return a figure and its axes (rows, columns), laid out by fixed margins; use it within `style`.
 
+    Fixed margins cost nothing; matplotlib's layout engines draw the figure twice.
+
     Parameters
     ----------
     width, height : float
         Of the figure, and of one row of panels with its gap, inches.
-    margins : tuple of float
-        Left, right, top, bottom, inches. Fixed margins cost nothing; matplotlib's layout engines draw the
-        figure twice.
-    gaps : tuple of float
-        Between columns (room for the labels along y) and rows, inches.
+    margins, gaps : tuple of float
+        Left, right, top, bottom; between columns (room for the labels along y) and rows; inches.
     share_x : bool
         Only the lowest row has labels along x, and all have one range.
     """
     from stapeskit.report.shown_figure import ShownFigure
 
     left, right, top, bottom = margins
-    across = gaps[0]
-    between = 0.38 if share_x else gaps[1]
+    across, between = gaps[0], 0.38 if share_x else gaps[1]
     inner_width = (width - left - right - (columns - 1) * across) / columns
-    inner_height = height - (0.38 if share_x else gaps[1])
+    inner_height = height - between
     total = top + bottom + rows * inner_height + (rows - 1) * between
     drawing = ShownFigure(figsize=(width, total))
     layout = {
@@ -165,10 +159,7 @@ _DROPPED = re.compile(rb"<\?xml.*?\?>|<!DOCTYPE.*?>|<!--.*?-->|<metadata>.*?</me
 
 
 def _compact(svg: bytes) -> bytes:
-    """Shorten an SVG for a page, and make its ids its own.
-
-    Coordinates of paths are rounded to hundredths of a point, finer than screens and printers show.
-    """
+    """Make the ids of an SVG its own, and round its paths to hundredths of a point: finer than printers."""
     from hashlib import sha256
 
     body = _DROPPED.sub(b"", svg)
@@ -179,13 +170,7 @@ def _compact(svg: bytes) -> bytes:
 
 
 def frequency_axis(axes: Axes, freq_hz: Array, *, label: bool = True) -> None:
-    """Make the frequency axis (kHz), logarithmic when the lines are spaced that way.
-
-    Parameters
-    ----------
-    freq_hz : ndarray, (lines,)
-        Ascending.
-    """
+    """Make the frequency axis (kHz), logarithmic when the ascending lines are spaced that way."""
     if label:
         axes.set_xlabel("frequency (kHz)")
     low, high = float(freq_hz[0]) / 1e3, float(freq_hz[-1]) / 1e3
@@ -197,13 +182,7 @@ def frequency_axis(axes: Axes, freq_hz: Array, *, label: bool = True) -> None:
 
 
 def amplitude_axis(axes: Axes, low: float, high: float) -> None:
-    """Make an axis of amplitudes logarithmic between two values, with plain numbers at its ticks.
-
-    Parameters
-    ----------
-    low, high : float
-        Smallest and largest amplitude that is drawn, positive.
-    """
+    """Make an axis of amplitudes logarithmic between two positive values, with plain numbers at its ticks."""
     if not 0.0 < low < high < np.inf:
         return
     axes.set_yscale("log")
@@ -235,14 +214,9 @@ def log_spaced(freq_hz: Array) -> bool:
 
 
 def decimate_lines(size: Array, most: int = 400) -> Indices:
-    """Return ascending indices of at most ``most`` lines that keep every peak and every trough.
+    """Return ascending indices of at most ``most`` lines of what is drawn, (lines,); NaN where missing.
 
-    Parameters
-    ----------
-    size : ndarray, (lines,)
-        What is drawn; NaN where missing.
-    most : int
-        Lines are put into most / 2 groups of neighbours; of each the smallest and the largest stay.
+    Of each of most / 2 groups of neighbours the smallest and the largest stay: every peak and trough.
     """
     lines = len(size)
     if lines <= most:

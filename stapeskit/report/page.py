@@ -50,17 +50,7 @@ _MOST_WITH_INTERVALS = 3
 
 @dataclass
 class Section:
-    """A heading with its blocks.
-
-    Attributes
-    ----------
-    name : str
-        The heading.
-    id : str
-        What links refer to.
-    folded : bool
-        Whether the reader opens it.
-    """
+    """A heading with its blocks; links refer to its id, and the reader opens it when it is folded."""
 
     name: str
     blocks: list[Markup]
@@ -100,34 +90,31 @@ class Page:
 
     def section(self, name: str, *blocks: Markup, folded: bool = False) -> Section:
         """Append a section and return it."""
-        return self._append(self.sections, name, blocks, folded)
-
-    def appendix_section(self, name: str, *blocks: Markup) -> Section:
-        """Append a folded section to the appendix and return it."""
-        return self._append(self.appendix, name, blocks, True)
-
-    def _append(self, part: list[Section], name: str, blocks: Iterable[Markup], folded: bool) -> Section:
         key = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "section"
         taken = {other.id for other in (*self.sections, *self.appendix)}
         own = next(one for one in chain([key], (f"{key}_{k}" for k in count(2))) if one not in taken)
-        section = Section(name, list(blocks), own, folded)
-        part.append(section)
+        self.sections.append(Section(name, list(blocks), own, folded))
+        return self.sections[-1]
+
+    def appendix_section(self, name: str, *blocks: Markup) -> Section:
+        """Append a folded section to the appendix and return it."""
+        section = self.section(name, *blocks, folded=True)
+        self.appendix.append(self.sections.pop())
         return section
 
     def html(self) -> str:
         """Return the whole page."""
         from markupsafe import Markup
 
-        blocks = [*self.first, *(block for part in (*self.sections, *self.appendix) for block in part.blocks)]
-        scripts = [str(render("script"))]
-        if any("data-scene" in block for block in blocks):
-            scripts.append((_HERE / "viewer.js").read_text(encoding="utf-8"))
         parts = (self.title, self.lead, self.first, self.sections, self.appendix)
-        return str(render("page", *parts, PAGE_COLOURS, [Markup(script) for script in scripts]))
+        body = render("body", *parts)
+        scripts = [render("script")]
+        if "data-scene" in body:
+            scripts.append(Markup((_HERE / "viewer.js").read_text(encoding="utf-8")))
+        return str(render("page", self.title, body, PAGE_COLOURS, scripts))
 
     def write(self, path: Path) -> None:
-        """Write the page as UTF-8."""
-        # Names of files may hold bytes that are no UTF-8.
+        """Write the page as UTF-8; names of files may hold bytes that are none."""
         Path(path).write_text(self.html(), encoding="utf-8", errors="replace")
 
 
@@ -136,12 +123,8 @@ def _blocks() -> TemplateModule:
     """Return the macros of the template, compiled once."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-    environment = Environment(
-        loader=FileSystemLoader(_HERE),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-    )
+    loader = FileSystemLoader(_HERE)
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     return environment.get_template("page.html.j2").module
 
 
@@ -217,7 +200,7 @@ def matrix(
     title: str = "",
     interval_95_si: ArrayLike | None = None,
 ) -> Markup:
-    """Return a square matrix with ± and 95 % intervals.
+    """Return a square matrix with ± and, where it is small, 95 % intervals; grey where these hold zero.
 
     Parameters
     ----------
@@ -231,65 +214,42 @@ def matrix(
         What it is, about which point, in which axes.
     interval_95_si : array_like, (n, n, 2), optional
         Limits of the 95 % intervals, SI, where they are not the value ± 1.96 standard deviations.
-
-    Notes
-    -----
-    Entries whose interval holds zero are grey.
     """
-    values = np.asarray(values_si, dtype=float)
-    places = range(len(names))
-    sds = np.full(values.shape, np.nan) if sd_si is None else np.asarray(sd_si, dtype=float)
-    limits = None if interval_95_si is None else np.asarray(interval_95_si, dtype=float)
-    cells = [
-        [
-            _entry(
-                Quantity(
-                    float(values[i, j]),
-                    None if np.isnan(sds[i, j]) else float(sds[i, j]),
-                    PLAIN if units is None else units[i][j],
-                    None if limits is None else (float(limits[i, j, 0]), float(limits[i, j, 1])),
-                ),
-                i == j,
-                len(names),
-            )
-            for j in places
-        ]
-        for i in places
-    ]
-    return render("matrix", title, list(names), cells, caption)
+    size = len(names)
+    values = np.asarray(values_si, dtype=float).tolist()
+    sds = np.full((size, size), np.nan) if sd_si is None else np.asarray(sd_si, dtype=float)
+    limits = None if interval_95_si is None else np.asarray(interval_95_si, dtype=float).tolist()
+
+    def cell(i: int, j: int) -> dict[str, str]:
+        sd = None if np.isnan(sds[i, j]) else float(sds[i, j])
+        interval = None if limits is None else tuple(limits[i][j])
+        entry = Quantity(values[i][j], sd, PLAIN if units is None else units[i][j], interval)
+        ends = entry.limits
+        kind = "diagonal" if i == j else "open" if ends and ends[0] <= 0.0 <= ends[1] else ""
+        value, rest = _number_and_rest(entry)
+        shown = size <= _MOST_WITH_INTERVALS and sd != 0.0
+        return {"value": value, "rest": rest, "interval": entry.interval if shown else "", "kind": kind}
+
+    return render("matrix", title, names, [[cell(i, j) for j in range(size)] for i in range(size)], caption)
 
 
-def _entry(entry: Quantity, diagonal: bool, size: int) -> dict[str, str]:
-    """Return what a cell of a matrix shows."""
-    shown = entry.unit.of(entry.value) + 0.0
-    if shown == 0.0 and not entry.sd:
-        return {"value": "0", "rest": "", "interval": "", "kind": "open"}
-    if entry.sd is None or not entry.known_sd or entry.sd == 0.0:
-        value, rest = f"{shown:.4g}", entry.unit.symbol
-    else:
-        value, _, spread = plus_minus(shown, entry.unit.of(entry.sd)).partition(" ± ")
-        if value.startswith("("):
-            value, spread = f"{shown:.4g}", f"{entry.unit.of(entry.sd):.2g}"
-        rest = f"± {spread} {entry.unit.symbol}"
-    limits = entry.limits
-    holds_zero = limits is not None and limits[0] <= 0.0 <= limits[1]
-    return {
-        "value": value,
-        "rest": rest,
-        "interval": entry.interval if size <= _MOST_WITH_INTERVALS and entry.sd != 0.0 else "",
-        "kind": "diagonal" if diagonal else "open" if holds_zero else "",
-    }
+def _number_and_rest(entry: Quantity) -> tuple[str, str]:
+    """Return the number of a cell of a matrix, and the line below it: sd and unit."""
+    unit, value, sd = entry.unit, entry.unit.of(entry.value) + 0.0, entry.sd
+    if value == 0.0 and not sd:
+        return "0", ""
+    if sd is None or not entry.known_sd or sd == 0.0:
+        return f"{value:.4g}", unit.symbol
+    text, _, spread = plus_minus(value, unit.of(sd)).partition(" ± ")
+    if text.startswith("("):
+        text, spread = f"{value:.4g}", f"{unit.of(sd):.2g}"
+    return text, f"± {spread} {unit.symbol}"
 
 
 def figure(drawing: Figure, caption: str, alt: str, *, file: str = "figure") -> Markup:
     """Embed a matplotlib figure with a button that saves it.
 
-    Parameters
-    ----------
-    alt : str
-        What it shows, for who cannot see it.
-    file : str
-        Name of the saved file without ending.
+    ``alt`` says what it shows, for who cannot see it; ``file`` is the name of the saved file without ending.
     """
     from markupsafe import Markup
 
@@ -301,21 +261,12 @@ def notices(found: Iterable[Notice], confirmed: Sequence[str] = ()) -> Markup:
 
     Those whose code the user has confirmed are said to be checked, and are no more than information.
     """
-    listed = [
-        {
-            "code": notice.code,
-            "text": notice.text,
-            "css": "information" if notice.code in confirmed else _colour_of(notice.code),
-            "confirmed": notice.code in confirmed,
-        }
-        for notice in found
-    ]
+    known, listed = warning_table(), []
+    for notice in found:
+        checked = notice.code in confirmed
+        level = "information" if checked else known[notice.code].verdict if notice.code in known else ""
+        listed.append({"code": notice.code, "text": notice.text, "css": _css(level), "confirmed": checked})
     return render("notices", listed)
-
-
-def _colour_of(code: str) -> str:
-    known = warning_table()
-    return _css(known[code].verdict) if code in known else ""
 
 
 def verdict(level: str, sentence: str, reasons: Iterable[Notice] = ()) -> Markup:
@@ -342,14 +293,8 @@ def cards(*groups: tuple[str, Sequence[Sequence[object]]]) -> Markup:
 def inputs(provenance: Mapping[str, Any]) -> Markup:
     """Return the inputs of a result with size, date and content hash."""
     rows = [
-        (
-            role,
-            entry["file"],
-            f"{entry['size_bytes']:,}",
-            entry["modified"][:16].replace("T", " "),
-            entry["hash"],
-        )
-        for role, entry in provenance.get("inputs", {}).items()
+        (role, one["file"], f"{one['size_bytes']:,}", one["modified"][:16].replace("T", " "), one["hash"])
+        for role, one in provenance.get("inputs", {}).items()
     ]
     return table(("role", "file", "bytes", "modified (UTC)", "content hash"), rows, words=True)
 
@@ -358,9 +303,8 @@ def viewer(scene: Scene) -> Markup:
     """Return the three-dimensional view of a scene."""
     from markupsafe import Markup
 
-    content = scene.content()
     motions = [motion.name for motion in scene.motions]
-    return render("viewer", scene.title, Markup(content), motions, scene.groups, scene.caption)
+    return render("viewer", scene.title, Markup(scene.content()), motions, scene.groups, scene.caption)
 
 
 def _css(level: str) -> str:

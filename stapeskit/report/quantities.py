@@ -1,7 +1,6 @@
 """Show SI quantities to people: units, values with their standard deviation and 95 % interval.
 
-Every message and page takes its numbers from here, with the signs ± and µ and the powers of units as they are
-printed; nothing is replaced in a text afterwards.
+Every message and page takes its numbers from here, as they are printed; nothing is replaced afterwards.
 """
 
 from __future__ import annotations
@@ -76,15 +75,7 @@ def _fixed(value: float, digits: int) -> str:
 
 @dataclass(frozen=True)
 class ShownUnit:
-    """A unit for people.
-
-    Attributes
-    ----------
-    symbol : str
-        As written behind a number.
-    per_si : float
-        How many of it make one SI unit.
-    """
+    """A unit for people: its symbol as written behind a number, and how many of it make one SI unit."""
 
     symbol: str
     per_si: float
@@ -98,13 +89,7 @@ class ShownUnit:
         return shown / self.per_si
 
     def text(self, value: float, form: str = "g") -> str:
-        """Return an SI value with the symbol.
-
-        Examples
-        --------
-        >>> LENGTH.text(2.71828e-3, ".3f"), LENGTH.text(0.0031), SMALL_LENGTH.text(4.2e-6)
-        ('2.718 mm', '3.1 mm', '4.2 µm')
-        """
+        """Return an SI value with the symbol."""
         return f"{self.of(value):{form}} {self.symbol}".rstrip()
 
     def with_sd(self, value: float, sd: float | None) -> str:
@@ -112,8 +97,8 @@ class ShownUnit:
 
         Examples
         --------
-        >>> LENGTH.with_sd(2.71828e-3, 3e-5)
-        '2.718 ± 0.030 mm'
+        >>> LENGTH.with_sd(2.71828e-3, 3e-5), LENGTH.text(2.71828e-3, ".3f"), SMALL_LENGTH.text(4.2e-6)
+        ('2.718 ± 0.030 mm', '2.718 mm', '4.2 µm')
         """
         return f"{plus_minus(self.of(value), None if sd is None else self.of(sd))} {self.symbol}".rstrip()
 
@@ -127,32 +112,23 @@ PLAIN = ShownUnit("", 1.0)
 PERCENT = ShownUnit("%", 100.0)
 STIFFNESS = ShownUnit("N/m", 1.0)
 ROTATION_STIFFNESS = ShownUnit("N mm/rad", 1e3)
-DAMPING = ShownUnit("mN s/m", 1e3)
-ROTATION_DAMPING = ShownUnit("µN mm s/rad", 1e9)
-COUPLING_STIFFNESS = ShownUnit("N", 1.0)
-COUPLING_DAMPING = ShownUnit("µN s", 1e6)
 FIRST_MOMENT = ShownUnit("mg mm", 1e9)
 INERTIA = ShownUnit("mg mm²", 1e12)
 
-# Units of an entry by the number of rotations (0, 1, 2) among its two degrees of freedom.
-_UNIT_BY_ROTATIONS = {
-    "K": (STIFFNESS, COUPLING_STIFFNESS, ROTATION_STIFFNESS),
-    "D": (DAMPING, COUPLING_DAMPING, ROTATION_DAMPING),
+# Units of an entry by the number of rotations (0, 1, 2) among its two degrees of freedom; those of K in SI.
+_SI_STIFFNESS = ("N/m", "N", "N m/rad")
+_SHOWN = {
+    "K": (STIFFNESS, ShownUnit("N", 1.0), ROTATION_STIFFNESS),
+    "D": (ShownUnit("mN s/m", 1e3), ShownUnit("µN s", 1e6), ShownUnit("µN mm s/rad", 1e9)),
     "M": (MASS, FIRST_MOMENT, INERTIA),
 }
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """An SI value with its uncertainty and the unit in which people see it: a cell of a table.
+    """A cell of a table: an SI value, its sd where it is known, and the unit in which people see it.
 
-    Attributes
-    ----------
-    value, sd : float
-        SI; ``sd`` is None where it is unknown.
-    unit : ShownUnit
-    interval_95 : tuple of float, optional
-        SI limits where they are not the value ± 1.96 standard deviations.
+    ``interval_95`` are SI limits where they are not the value ± 1.96 standard deviations.
     """
 
     value: float
@@ -173,12 +149,10 @@ class Quantity:
     @property
     def limits(self) -> tuple[float, float] | None:
         """Limits of the 95 % interval in the shown unit; None without a standard deviation."""
-        if self.interval_95 is not None:
-            return self.unit.of(self.interval_95[0]), self.unit.of(self.interval_95[1])
-        if self.sd is None or not self.known_sd:
-            return None
-        half = HALF_WIDTH_95 * self.sd
-        return self.unit.of(self.value - half), self.unit.of(self.value + half)
+        ends = self.interval_95
+        if ends is None and self.sd is not None and math.isfinite(self.sd):
+            ends = self.value - HALF_WIDTH_95 * self.sd, self.value + HALF_WIDTH_95 * self.sd
+        return None if ends is None else (self.unit.of(ends[0]), self.unit.of(ends[1]))
 
     @property
     def interval(self) -> str:
@@ -192,63 +166,52 @@ class Quantity:
         return "" if self.limits is None else interval_text(*self.limits)
 
 
-def time_unit(exponent: float | None) -> str:
-    """Return the power of time in the unit of D as text: viscous damping has 1, hysteretic 0, None any."""
-    if exponent is None:
-        return " s^a"
-    return {0.0: "", 1.0: " s"}.get(exponent, f" s^{exponent:.3g}")
-
-
 def si_unit(letter: str, first: str, second: str, exponent: float | None = 1.0) -> str:
     """Return the SI unit of an entry of K or D between two degrees of freedom, as text.
 
     Examples
     --------
-    >>> si_unit("K", "y", "y"), si_unit("D", "y", "alpha"), si_unit("D", "alpha", "alpha", 0.0)
-    ('N/m', 'N s', 'N m/rad')
+    >>> si_unit("K", "y", "y"), si_unit("D", "y", "alpha"), si_unit("D", "alpha", "alpha")
+    ('N/m', 'N s', 'N m s/rad')
     """
-    time = time_unit(exponent) if letter == "D" else ""
-    return (f"N{time}/m", f"N{time}", f"N{time} m/rad")[_is_rotation(first) + _is_rotation(second)]
+    symbol = _SI_STIFFNESS[_is_rotation(first) + _is_rotation(second)]
+    return _with_time(symbol, exponent) if letter == "D" else symbol
 
 
 def diagonal_unit(letter: str, dof: str, exponent: float | None = 1.0) -> ShownUnit:
-    """Return the unit in which a diagonal entry of K, D or M is shown.
-
-    Parameters
-    ----------
-    letter : {"K", "D", "M"}
-    dof : str
-        Degree of freedom: ``x``, ``y``, ``z``, or a rotation.
-    exponent : float or None
-        Power of time in the unit of D, of the damping law; None where it differs between ears.
-
-    Examples
-    --------
-    >>> [diagonal_unit(*entry).symbol for entry in (("K", "y"), ("D", "gamma"), ("D", "y", 0.5))]
-    ['N/m', 'µN mm s/rad', 'N s^0.5/m']
-    """
-    return _entry_unit(letter, 2 * _is_rotation(dof), exponent)
+    """Return the unit in which a diagonal entry of K, D or M is shown, as `matrix_units`."""
+    return matrix_units(letter, (dof,), exponent)[0][0]
 
 
 def matrix_units(letter: str, dof: Sequence[str], exponent: float | None = 1.0) -> list[list[ShownUnit]]:
     """Return the unit in which each entry of K, D or M is shown, (n, n).
 
+    Parameters
+    ----------
+    letter : {"K", "D", "M"}
+    exponent : float or None
+        Power of time in the unit of D, of the damping law; None where it differs between ears.
+
     Examples
     --------
     >>> [unit.symbol for unit in matrix_units("D", ("y", "alpha"))[1]]
     ['µN s', 'µN mm s/rad']
+    >>> [diagonal_unit(*entry).symbol for entry in (("K", "y"), ("D", "gamma"), ("D", "y", 0.5))]
+    ['N/m', 'µN mm s/rad', 'N s^0.5/m']
     """
+    units: tuple[ShownUnit, ...] = _SHOWN[letter]
+    if letter == "D" and exponent != 1.0:
+        units = tuple(ShownUnit(_with_time(one.symbol, exponent), one.per_si) for one in _SHOWN["K"])
     rotations = [_is_rotation(name) for name in dof]
-    return [[_entry_unit(letter, row + column, exponent) for column in rotations] for row in rotations]
+    return [[units[row + column] for column in rotations] for row in rotations]
 
 
 def _is_rotation(dof: str) -> bool:
     return dof not in ("x", "y", "z")
 
 
-def _entry_unit(letter: str, rotations: int, exponent: float | None) -> ShownUnit:
-    if letter != "D" or exponent == 1.0:
-        return _UNIT_BY_ROTATIONS[letter][rotations]
-    unit = _UNIT_BY_ROTATIONS["K"][rotations]
-    numerator, slash, denominator = unit.symbol.partition("/")
-    return ShownUnit(numerator + time_unit(exponent) + slash + denominator, unit.per_si)
+def _with_time(symbol: str, exponent: float | None) -> str:
+    """Multiply a unit by a power of time: viscous damping has 1, hysteretic 0, None any."""
+    numerator, slash, denominator = symbol.partition("/")
+    power = " s^a" if exponent is None else {0.0: "", 1.0: " s"}.get(exponent, f" s^{exponent:.3g}")
+    return numerator + power + slash + denominator

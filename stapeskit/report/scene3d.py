@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,21 +27,14 @@ _STEPS = 32_000
 
 @dataclass(frozen=True)
 class Mesh:
-    """A surface.
+    """A surface of vertices (n, 3), mm, and outward triangles (m, 3).
 
     Attributes
     ----------
     name : str
-        Also of the checkbox that hides it.
-    vertices_mm : ndarray, (n, 3)
-    faces : ndarray, (m, 3), int
-        Outward triangles.
-    colour : str
-        ``#rrggbb``, of `colours.BODY_COLOURS`; drawn lighter, as areas are.
-    opacity : float
-        1 is solid.
-    body : str, optional
-        The body that it moves with; its name by default.
+        Also of the checkbox that hides it, and of the body that it moves with unless ``body`` is given.
+    colour, opacity
+        ``#rrggbb``, of `colours.BODY_COLOURS`, drawn lighter, as areas are; 1 is solid.
     most_faces : int
         Triangles to which it is decimated: enough for a screen, few enough for a page.
     in_view : bool
@@ -70,18 +63,9 @@ class Point:
 
 @dataclass(frozen=True)
 class Line:
-    """A polyline (n, 3), mm: beams, axes of stiffness, an outline.
+    """A polyline (n, 3), mm, that moves with a body: beams, axes of stiffness, an outline.
 
-    Attributes
-    ----------
-    group : str
-        Lines of a group are shown and hidden together.
-    shown : bool
-        Whether the group is shown at the start.
-    label : str
-        Written at its end.
-    body : str
-        The body that it moves with.
+    Lines of a group are hidden together, and ``shown`` at the start or not; ``label`` stands at the end.
     """
 
     name: str
@@ -142,7 +126,6 @@ class Scene:
 
     Attributes
     ----------
-    surfaces, points, motions, lines : sequence
     axes : RigidTransform, optional
         From the frame whose axes are drawn (and in which motions are given) to the frame of surfaces, points
         and lines, such as ``scan_from_footplate``; None where they are the same frame.
@@ -159,22 +142,21 @@ class Scene:
     title: str = "The stapes in three dimensions"
     caption: str = ""
     axis_mm: float = 1.4
-    groups: list[dict[str, Any]] = field(init=False)
 
-    def __post_init__(self) -> None:
+    @property
+    def groups(self) -> list[dict[str, Any]]:
+        """What can be hidden, and whether it is shown at the start."""
         shown = {mesh.name: True for mesh in self.surfaces}
         shown |= {"axes": True} | ({"points": True} if self.points else {})
         for line in self.lines:
             shown.setdefault(line.group, line.shown)
-        object.__setattr__(self, "groups", [{"name": name, "shown": on} for name, on in shown.items()])
+        return [{"name": name, "shown": on} for name, on in shown.items()]
 
     def content(self) -> str:
         """Return the scene as JSON that can stand within a page."""
-        meshes = [self._mesh(mesh) for mesh in self.surfaces if len(mesh.faces)]
-        placed = [replace(line, points_mm=self._placed(line.points_mm)) for line in self.lines]
         low, high = self._span()
         data = {
-            "meshes": meshes,
+            "meshes": [self._mesh(mesh) for mesh in self.surfaces if len(mesh.faces)],
             "points": [
                 {
                     "name": point.name,
@@ -185,7 +167,7 @@ class Scene:
                 }
                 for point in self.points
             ],
-            "lines": [*self._axes(), *(_drawn(line) for line in placed)],
+            "lines": [*self._axes(), *(_drawn(line, self._placed(line.points_mm)) for line in self.lines)],
             "motions": [motion.content() for motion in self.motions],
             "middle": (0.5 * (low + high)).tolist(),
             "reach": max(0.5 * float(np.linalg.norm(high - low)), 1e-6),
@@ -200,11 +182,11 @@ class Scene:
 
     def _span(self) -> tuple[Array, Array]:
         """Return the corners of the box that the view at the start holds."""
-        held = [self._placed(mesh.vertices_mm) for mesh in self.surfaces if mesh.in_view and len(mesh.faces)]
+        held = [mesh.vertices_mm for mesh in self.surfaces if mesh.in_view and len(mesh.faces)]
         if not held and self.points:
-            held = [self._placed(np.array([point.position_mm for point in self.points]))]
-        held = held or [np.array([[-1.0] * 3, [1.0] * 3]) * self.axis_mm]
-        every = np.vstack(held)
+            held = [np.array([point.position_mm for point in self.points])]
+        unit = np.array([[-1.0] * 3, [1.0] * 3]) * self.axis_mm
+        every = self._placed(np.vstack(held)) if held else unit
         return np.asarray(every.min(axis=0)), np.asarray(every.max(axis=0))
 
     def _mesh(self, mesh: Mesh) -> dict[str, Any]:
@@ -224,20 +206,18 @@ class Scene:
         }
 
     def _axes(self) -> list[dict[str, Any]]:
-        ends = zip("xyz", self.axis_mm * np.eye(3), self.directions, strict=True)
-        return [
-            _drawn(
-                Line(name, np.array([np.zeros(3), end]), AXIS_COLOURS[name], "axes", True,
-                     f"{name} {direction}".strip(), arrow=True, width=2.6)
-            )
-            for name, end, direction in ends
-        ]  # fmt: skip
+        drawn = []
+        for name, end, direction in zip("xyz", self.axis_mm * np.eye(3), self.directions, strict=True):
+            points, label = np.array([np.zeros(3), end]), f"{name} {direction}".strip()
+            line = Line(name, points, AXIS_COLOURS[name], "axes", label=label, arrow=True, width=2.6)
+            drawn.append(_drawn(line, points))
+        return drawn
 
 
-def _drawn(line: Line) -> dict[str, Any]:
+def _drawn(line: Line, points_mm: Array) -> dict[str, Any]:
     """Return a line as the viewer reads it, with its points in the frame whose axes are drawn."""
     names = ("colour", "group", "label", "arrow", "width", "body")
-    return {"at": line.points_mm.tolist(), **{name: getattr(line, name) for name in names}}
+    return {"at": points_mm.tolist(), **{name: getattr(line, name) for name in names}}
 
 
 def decimate(vertices_mm: ArrayLike, faces: ArrayLike, most: int) -> tuple[Array, Faces]:

@@ -12,11 +12,7 @@ _DOTS_PER_INCH = 110  # a figure of 10 inches fills the width of a notebook
 class ShownFigure(Figure):
     """A figure without global state that displays itself.
 
-    Notes
-    -----
-    Notebooks learn to show figures when pyplot is imported: its backend registers a formatter for the class
-    `Figure`. A figure made without pyplot is therefore printed as ``<Figure size ...>``, unless its own
-    ``_repr_png_`` is there, which every notebook asks for.
+    Notebooks learn to show a `Figure` when pyplot is imported; any object may show itself by ``_repr_png_``.
     """
 
     def _repr_png_(self) -> bytes:

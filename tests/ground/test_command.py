@@ -153,7 +153,7 @@ def test_a_function_shows_every_option_of_its_command(command: str) -> None:
 
     shown = inspect.signature(getattr(stapeskit, command)).parameters
     table = COMMANDS[command][0]
-    entries = [entry for entry in table.entries() if not entry.opt.positional]
+    entries = [entry for entry in table.entries() if not entry.positional]
     assert len(entries) > 10
     for entry in entries:
         assert shown[entry.name].default == entry.default

@@ -17,7 +17,7 @@ from stapeskit.records.mass import Reader, mass_json, mass_record, read_mass_jso
 from stapeskit.records.mass_matrix import MassMatrix, frame_derivative, parameter_transfer
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.measured_mass import MeasuredMass, measured_mass
-from stapeskit.spatial import central_tensor, matrix_from_parameters, twist_transfer
+from stapeskit.spatial import matrix_from_parameters, twist_transfer
 from stapeskit.warnings import Notice
 
 PARAMETERS = np.array(
@@ -172,31 +172,20 @@ CUBE = np.array([3.2e-6, 0, 0, 0, 1e-12, 1e-12, 9e-12, 0, 0, 0]).tolist()
 @pytest.mark.parametrize(("edit", "thing"), [
     (put("other/1", "schema"), "schema"),
     (put(None, "inertial_parameters"), "inertial_parameters.values_si"),
-    (put("com", "inertial_parameters", "about"), "inertial_parameters.about"),
     (put("scan", "mass_matrix", "axes"), "mass_matrix.axes"),
     (put(["m"], "inertial_parameters", "names"), "inertial_parameters.names"),
     (put(["y"], "mass_matrix", "dof"), "mass_matrix.dof"),
-    (put(None, "mass_matrix", "dof"), "mass_matrix.dof"),
     (put([1.0, 2.0], "inertial_parameters", "values_si"), "inertial_parameters.values_si"),
-    (put(["a"] * 10, "inertial_parameters", "values_si"), "inertial_parameters.values_si"),
-    (put([[1.0]], "inertial_parameters", "covariance_si"), "inertial_parameters.covariance_si"),
-    (put(CUBE, "inertial_parameters", "values_si"), "the principal moments in inertial_parameters.values_si"),
+    (put(CUBE, "inertial_parameters", "values_si"), "the principal moments in the mass matrix"),
     (put(times(1.001), "mass_matrix", "matrix_si", 3, 3), "mass_matrix.matrix_si"),
     (put(4.0e-6, "mass_kg"), "mass_kg"),
-    (put(float("nan"), "mass_kg"), "mass_kg"),
-    (put(True, "mass_kg"), "mass_kg"),
-    (put(-3.2e-6, "mass_kg"), "mass_kg"),
     (put([0.0, 0.0, 0.0], "center_of_mass_in_scan_mm"), "center_of_mass_in_scan_mm"),
-    (put("q", "center_of_mass_in_scan_mm"), "center_of_mass_in_scan_mm"),
     (put("heavy", "density_kg_m3"), "density_kg_m3"),
-    (put(-1.0, "volume_m3"), "volume_m3"),
+    (put(-1.0, "volume_m3"), "density_kg_m3 times volume_m3"),
     (put(1700.0, "density_kg_m3"), "density_kg_m3 times volume_m3"),
-    (put([[1.0]], "mass_matrix_reduced", "matrix_si"), "mass_matrix_reduced.matrix_si"),
     (put(["y", "q"], "mass_matrix_reduced", "dof"), "mass_matrix_reduced.dof"),
     (put([], "frames"), "frames"),
-    (put("x", "frames", "scan_from_footplate", 0, 0), "frames.scan_from_footplate"),
-    (put(np.diag([1.0, 1, -1, 1]).tolist(), "frames", "scan_from_footplate"), "frames.scan_from_footplate"),
-    (put("abc", "frames", "scan_from_plate"), "frames.scan_from_plate"),
+    (put(np.diag([1.0, 1, -1, 1]).tolist(), "frames", "scan_from_footplate"), "scan_from_footplate"),
     (put(None, "frames", "scan_from_plate"), "frames.plate_from_footplate"),
     (put(None, "frames", "plate_from_footplate"), "frames.plate_from_footplate"),
     (put(times(1.1), "frames", "plate_from_footplate", 0, 3), "frames.plate_from_footplate"),
@@ -205,12 +194,10 @@ CUBE = np.array([3.2e-6, 0, 0, 0, 1e-12, 1e-12, 9e-12, 0, 0, 0]).tolist()
     (put(times(-1.0), "inertial_parameters", "covariance_si", 4, 4), "inertial_parameters.covariance_si"),
     (correlated_beyond_one, "inertial_parameters.covariance_si"),
     (put(times(2.0), *LEVELS, 0, 0), "inertial_parameters.covariance_si"),
-    (put("none", *LEVELS), ".".join(LEVELS)),
     (put(times(-1.0), "mass_matrix", "standard_deviation_si", 0, 0), "mass_matrix.standard_deviation_si"),
     (put(times(3.0), "mass_matrix_reduced", "standard_deviation_si", 0, 0),
      "mass_matrix_reduced.standard_deviation_si"),
     (put(times(3.0), "mass_matrix_plate_axes", "matrix_si", 3, 4), "mass_matrix_plate_axes.matrix_si"),
-    (put("scan", "mass_matrix_plate_axes", "axes"), "mass_matrix_plate_axes.axes"),
     (put(times(3.0), TENSOR, 0, 1), TENSOR),
     (put([{"code": 3}], "warnings"), "warnings"),
     (put("soon", "found"), "found"),
@@ -262,12 +249,12 @@ def test_no_junk_anywhere_ends_in_a_traceback_or_is_believed(raw: dict, junk: ob
     for path in list(places_of(raw))[1:]:
         spoiled = copy.deepcopy(raw)
         put(junk, *path)(spoiled)
-        free = FREE & {path[0]} or path[-1] in ("convention", "z_is")
-        absent = junk in ([], {}) and path[-1] in (
+        free = FREE & {path[0]} or path[-1] == "z_is"
+        absent = junk in ([], {}) and path[-1] in {
             "contributions_si",
             "mass_matrix_reduced",
             "pose_covariance",
-        )
+        }
         with contextlib.suppress(StapeskitError):
             mass_record(spoiled)
             assert free or absent or (junk == {} and path[0] == "mass_matrix_plate_axes"), path
@@ -343,20 +330,3 @@ def test_the_error_of_the_plate_frame_turns_the_matrix_in_plate_axes(record: Mas
     spread, stated = np.std(drawn, axis=0), sure.plate_mass_matrix.standard_deviation
     there = stated > 1e-3 * np.max(stated[3:, 3:])
     assert np.max(np.abs(spread[there] / stated[there] - 1.0)) < 0.06
-
-
-def test_the_tensor_about_the_centre_of_mass_is_that_of_its_points() -> None:
-    """Twenty points of mass, about an origin two of their widths away."""
-    rng = np.random.default_rng(3)
-    mass, place = rng.uniform(1e-7, 3e-7, 20), 1e-3 * rng.normal([2.0, -1.0, 1.5], 1.0, (20, 3))
-
-    def tensor(at: np.ndarray) -> np.ndarray:
-        squares = np.sum(at**2, axis=1)[:, None, None] * np.eye(3)
-        return np.einsum("i,ijk->jk", mass, squares - at[:, :, None] * at[:, None, :])
-
-    about_origin = tensor(place)
-    products = about_origin[[0, 1, 0], [1, 2, 2]]
-    parameters = [mass.sum(), *(mass @ place), *np.diag(about_origin), *products]
-    total, found = central_tensor(parameters)
-    assert total == pytest.approx(mass.sum())
-    assert np.allclose(found, tensor(place - mass @ place / mass.sum()), rtol=1e-9, atol=1e-22)

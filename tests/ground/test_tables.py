@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from stapeskit import tables
 from stapeskit.faults import Fault, StapeskitError
-from stapeskit.tables import MISSING, Table, read_table
+from stapeskit.tables import Table, read_table
 
 HEAD = "body,freq_hz,re_m_s"
+MISSING = ("", "nan", "NaN", "NAN", "Nan", "-nan", "+nan", "-NaN")
 
 
 def choose(header, name):

@@ -1,15 +1,16 @@
-"""Read JSON files with a sentence for what is no JSON, and turn results into JSON values."""
+"""Read JSON and TOML files with a sentence for what is none, and turn results into JSON values."""
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from stapeskit.faults import StapeskitError
+
+_LONGEST_TOML = 10_000_000  # bytes: a thousand times the longest study
 
 
 def read_json(path: Path, what: str, made_by: str) -> dict[str, Any]:
@@ -39,14 +40,36 @@ def read_json(path: Path, what: str, made_by: str) -> dict[str, Any]:
     return content
 
 
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return the content of a TOML file.
+
+    Raises
+    ------
+    StapeskitError
+        There is no such file, or it is no TOML in UTF-8, with the line where it fails.
+    """
+    import tomllib
+
+    path = Path(path)
+    if not path.is_file():
+        raise StapeskitError.of("the TOML file", "an existing file", path, "", "Check its name and folder")
+    try:
+        data = path.read_bytes()
+        if len(data) > _LONGEST_TOML:
+            raise ValueError(f"{len(data)} bytes")
+        return tomllib.loads(data.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError and UnicodeDecodeError are ValueErrors
+        raise StapeskitError.of("the file", "TOML in UTF-8", error, path.name) from None
+
+
 def as_json(value: Any) -> Any:
     """Return a JSON value: arrays as lists, -0 as 0, numbers that are not finite as null."""
     if isinstance(value, Mapping):
         return {str(key): as_json(entry) for key, entry in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
+    if hasattr(value, "tolist"):  # of numpy
         return as_json(value.tolist())
     if isinstance(value, list | tuple):
         return [as_json(entry) for entry in value]
     if isinstance(value, float):
-        return value + 0.0 if np.isfinite(value) else None
+        return value + 0.0 if math.isfinite(value) else None
     return value
