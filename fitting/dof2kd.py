@@ -70,8 +70,8 @@ def dof2kd(
     ----------
     motion : path, RigidMotion or result of points2dof
     mass : path or result of ct2mass, MassMatrix, or array_like, (n, n)
-        An array is in the order of ``dof``, SI, about the footplate centre in footplate axes. Left out: the
-        mass.json next to the file of the motion.
+        An array is in the order of ``dof``, SI, about the footplate centre in footplate axes. Left out: that
+        of the result of points2dof, or the mass.json next to the file of the motion.
     force : bool
         Use a mass that is not the one whose frames the motion was computed with, with a warning.
     confirmed : sequence of str
@@ -112,7 +112,10 @@ def fit_files(
     """
     file = Path(motion) if isinstance(motion, str | os.PathLike) else None
     report("reading motion and mass")
-    source = mass_source(find_mass(file) if mass is None else mass, options)
+    if mass is None:  # a result of points2dof keeps the mass whose frames it used
+        own = getattr(motion, "mass", None)
+        mass = find_mass(file) if own is None else own
+    source = mass_source(mass, options)
     moved: RigidMotion = read_motion(file) if file is not None else getattr(motion, "motion", motion)
     provenance = record({"motion": file, "mass": source.source}, options.given(), command)
     report("fitting stiffness and damping")
@@ -128,12 +131,18 @@ def find_mass(motion: Path | None) -> Path:
     StapeskitError
         There is none, or more than one.
     """
-    folder = Path() if motion is None else Path(motion).absolute().parent
-    own = folder / "mass.json"
-    found = [own] if own.is_file() else sorted(folder.glob("*_mass/mass.json"))
-    if motion is None or len(found) != 1:
+    found: list[Path] = []
+    if motion is not None:
+        folder = Path(motion).absolute().parent
+        own = folder / "mass.json"
+        found = [own] if own.is_file() else sorted(folder.glob("*_mass/mass.json"))
+    if len(found) != 1:
         got = "nothing" if not found else ", ".join(str(path.relative_to(folder)) for path in found)
-        step = "ct2mass writes mass.json; a plain M.csv serves as well"
+        step = (
+            "Name the one that belongs to the motion"
+            if found
+            else ("ct2mass writes mass.json; a plain M.csv serves as well")
+        )
         raise StapeskitError.of("--mass", "a mass.json, or one next to the motion", got, "", step)
     return found[0]
 
@@ -156,15 +165,21 @@ def mass_source(mass: Any, options: KDOptions) -> MassSource:
     if isinstance(mass, MassMatrix):
         return MassSource(mass)
     try:
-        return _plain(np.asarray(mass, dtype=float), options)
+        matrix = np.asarray(mass, dtype=float)
     except (TypeError, ValueError):
         wanted = "a file, a result of ct2mass or a matrix in SI"
         raise StapeskitError.of("the mass", wanted, type(mass).__name__) from None
+    return _plain(matrix, options)
 
 
 def _plain(matrix: Array, options: KDOptions) -> MassSource:
     """Return a plain matrix with elements of the inertia tensor, and a warning where that is assumed."""
-    if matrix.ndim != 2 or not has_products(matrix, options.dof):
+    size = len(options.dof)
+    if matrix.shape not in ((size, size), (6, 6)):
+        want, got = f"{size} x {size} or 6 x 6", " x ".join(map(str, matrix.shape)) or "one number"
+        step = f"Give M in the order of --dof, {','.join(options.dof)}, or of all six"
+        raise StapeskitError.of("the mass matrix", want, got, "", step)
+    if not has_products(matrix, options.dof):
         return MassSource(matrix)
     if options.mass_sign != "assumed":
         return MassSource(with_tensor_signs(matrix, options.dof, options.mass_sign))

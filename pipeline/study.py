@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -14,6 +14,7 @@ from kinematics.options import MotionOptions
 from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
 from stapeskit.option_types import Flag, Number, ReadFile, Table, Text, Words
 from stapeskit.options import Opt, Options, read_toml, template
+from stapeskit.warnings import table as warning_table
 
 TITLE = """A study: one ear, from its scan and its vibrometer file to stiffness and damping.
 # Run it with: scan2kd study.toml. Paths are relative to this file; a line that begins with # is not set."""
@@ -131,6 +132,7 @@ def read_study(path: Path) -> Study:
             with collect_faults(faults):
                 own = _without_other_tables(values, key, name, faults)
                 read[key] = table.from_study(own, name, path.absolute().parent)
+    faults += _unknown_warnings(read["study"].confirmed, name) if "study" in read else []
     raise_all(faults)
     about, scan = read["study"], read["scan"]
     sides = {about.side, scan.side} - {None}
@@ -154,6 +156,17 @@ def _without_other_tables(
             faults.append(Fault(f"{table}.{key}", "a key of this table", "one of another table", name, step))
             del kept[key]
     return kept
+
+
+def _unknown_warnings(confirmed: Sequence[str], name: str) -> list[Fault]:
+    """Return a fault for each confirmed warning that is neither a code nor the first words of one."""
+    codes, faults = list(warning_table()), []
+    for word in confirmed:
+        if not any(code == word or code.startswith(f"{word}_") for code in codes):
+            near = difflib.get_close_matches(word, codes, 1) or [code for code in codes if word in code]
+            step = f"Did you mean {near[0]}?" if near else "docs/warnings.md lists all codes"
+            faults.append(Fault("study.confirmed", "codes of warnings", word, name, step))
+    return faults
 
 
 def _unknown_table(key: str, name: str) -> Fault:
