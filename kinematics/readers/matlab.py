@@ -3,7 +3,7 @@
 ``x`` (F, Hz) and ``y`` (points x F, complex, or ``y_re`` and ``y_im``) with the struct ``usd`` that
 GetPointData returns or a text ``unit``; ``xyz`` of GetXYZCoordinates (points x 3, m); one value a beam
 (``amp_x``, ``amp_y``, ``amp_z`` with ``usd_x`` ...); ``direction``, ``coherence``, ``sd``, ``n_avg``,
-``points``, ``body``. All of it in the file or in one struct.
+``points``, ``body``. All of it in the file, in one struct, or in a struct array with one element a channel.
 """
 
 from __future__ import annotations
@@ -67,16 +67,16 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         notices.append(Notice("file_read", f"{path.name}: {unread} were not read. {_STRING_STEP}."))
     try:
         held = _variables_of({name: one for name, one in tree.items() if name not in strings}, path.name)
-        if unknown := list_some(held.unknown(), 12):
+        if unknown := list_some((name for one in held for name in one.unknown()), 12):
             text = f"{path.name}: {unknown} have a value a frequency, but are no names of values: left out."
             notices.append(Notice("file_read", text))
         return recording_of(
             path.name,
-            held.rows(),
+            [row for one in held for row in one.rows()],
             "Keep one of the signals, and save each excitation to a file of its own",
             notices=notices,
             statement=f"variables of {path.name}",
-            length_stated=bool(held.length_unit) or not held.name("position"),
+            length_stated=all(one.length_unit or not one.name("position") for one in held),
         )
     except StapeskitError as error:
         want = "of char, cell or number arrays"
@@ -84,28 +84,48 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         raise StapeskitError(*first, *error.faults) from None
 
 
-def _variables_of(tree: Mapping[str, Any], file: str) -> Variables:
-    """Return the variables of a file, or of its one struct."""
+def _variables_of(tree: Mapping[str, Any], file: str) -> list[Variables]:
+    """Return the variables of a file, of its one struct, or of each element of its one struct array."""
     low = {name.lower(): value for name, value in tree.items()}
     if len(low) < len(tree):
         got, want = list_some(tree, 20), "different in more than their case"
         raise StapeskitError.of("the names of the variables", want, got, file, "Rename one of them")
-    structs = [value for value in low.values() if isinstance(value, Mapping)]
-    inner = {name.lower(): one for name, one in structs[0].items()} if len(structs) == 1 else {}
-    for held in (low, {**low, **inner}):
-        if (found := Variables(held, file)).name("frequency"):
+    if (whole := Variables(low, file)).name("frequency"):
+        return [whole]
+    structs = {name: elements for name, value in low.items() if (elements := _structs_of(value))}
+    for name, elements in structs.items() if len(structs) == 1 else ():
+        found = [
+            Variables(
+                {**low, **{key.lower(): one for key, one in fields.items()}},
+                f"{file}, {name}",
+                str(number) if len(elements) > 1 else "",
+            )
+            for number, fields in enumerate(elements, 1)
+        ]
+        if all(one.name("frequency") for one in found):
             return found
     sizes = {name: " x ".join(map(str, getattr(value, "shape", ()))) for name, value in tree.items()}
     listed = list_some((f"{name} ({size})" if size else name for name, size in sizes.items()), 12)
     raise StapeskitError.of(file, "of a known layout", f"the variables {listed or 'none'}", "", _STEP)
 
 
+def _structs_of(value: Any) -> list[Mapping[str, Any]]:
+    """Return a struct, or the elements of a struct array; nothing of other variables."""
+    listed = [value] if isinstance(value, Mapping) else value
+    found = list(listed) if isinstance(listed, list | np.ndarray) and np.ndim(listed) == 1 else []
+    return found if all(isinstance(one, Mapping) for one in found) else []
+
+
 @dataclass(frozen=True)
 class Variables:
-    """Variables by their names in small letters, of the file or of a struct before those around it."""
+    """Variables by their names in small letters, of the file or of a struct before those around it.
+
+    ``element`` is the number of an element of a struct array: the name of its point where it holds none.
+    """
 
     held: Mapping[str, Any]
     file: str
+    element: str = ""
 
     def name(self, role: str, axis: str = "") -> str:
         """Return the first name of a role (a key of `NAMES`), for one beam before all; empty without one."""
@@ -202,7 +222,7 @@ class Variables:
         count, lines = value.shape
         names = self.texts(self.name("points"), count)
         if not any(names) or (count > 1 and len(set(names)) == 1):  # one text for all is a title
-            names = [str(k) for k in range(1, count + 1)]
+            names = [self.element] if self.element and count == 1 else [str(k) for k in range(1, count + 1)]
         bodies, places = self.texts("body", count), np.full((count, 3), np.nan)
         if name := self.name("position"):
             places = self.shaped(name, 3, count).astype(float) * LENGTHS[self.length_unit or "m"]
@@ -219,7 +239,7 @@ class Variables:
             Row(
                 names[k], freq, value[k], f"{unit or usd.get('YUnit', '')} {amplitude}".strip(), bodies[k],
                 position_m=places[k], direction=directions[k], source=source,
-                where=Place(f"{self.file}, {source}", "row", (k + 1,)),
+                where=Place(f"{self.file}, {source}", "row", (int(self.element or k + 1),)),
                 **{role: matrix[k] for role, matrix in noise.items()},
             )
             for k in range(count)

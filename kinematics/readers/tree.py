@@ -50,7 +50,12 @@ def _value(file: h5py.File, node: h5py.Group | h5py.Dataset, depth: int) -> Any:
     if depth > _DEEPEST:
         return {}
     if isinstance(node, h5py.Group):
-        return {name: _value(file, one, depth + 1) for name, one in node.items()}
+        fields = {name: _value(file, one, depth + 1) for name, one in node.items()}
+        lists = {name: value for name, value in fields.items() if isinstance(value, list)}
+        lengths = {len(value) for value in lists.values()}
+        if kind == "struct" and len(lists) == len(fields) and len(lengths) == 1:  # a struct array
+            return [dict(zip(lists, values, strict=True)) for values in zip(*lists.values(), strict=True)]
+        return fields
     if kind == "string":
         return STRINGS
     if node.attrs.get("MATLAB_empty", 0):
