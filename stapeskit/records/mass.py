@@ -268,7 +268,9 @@ def _compare(file: Reader, record: MassRecord) -> None:
                 file.fault(".".join(path), "null in a file without frames.scan_from_plate", "a matrix")
     for thing, (value, scale) in statements(record).items():
         keys = thing.split(".")
-        if any(thing.startswith(block) and not file.object(*block.split(".")) for block in _OPTIONAL):
+        words_alone = thing.startswith(_POSE) and (keys[-1] == "convention" or file.get(*keys) is None)
+        absent = any(thing.startswith(block) and not file.object(*block.split(".")) for block in _OPTIONAL)
+        if words_alone or absent:
             continue
         if scale is None:
             if (stated := file.get(*keys)) != value:
