@@ -158,6 +158,16 @@ def test_a_stapes_that_the_field_of_view_cuts_is_reported():
     assert abs(found.moments.volume_mm3 - exact.volume_mm3) < 2.0 * found.moments.volume_sd_mm3
 
 
+@pytest.mark.parametrize("depth_mm", [0.2, 0.4])
+def test_fluid_on_the_footplate_is_subtracted_within_its_deviation(depth_mm):
+    scan, placed = ear(fluid_depth_mm=depth_mm)
+    exact = true_moments(placed)
+    found = measure(find_stapes(scan))
+    assert "soft_surroundings" in {notice.code for notice in found.notices}
+    assert abs(found.moments.volume_mm3 - exact.volume_mm3) < 3.0 * found.moments.volume_sd_mm3
+    assert found.moments.volume_sd_mm3 < 0.02 * exact.volume_mm3
+
+
 def test_a_block_that_a_copy_has_lost_was_not_measured():
     """A box of one value amid the picture, as of a missing chunk, cuts the stapes as a border does."""
     scan, placed = ear(gap_mm=0.12)
