@@ -29,6 +29,7 @@ _USUAL_SD_MM = 0.1  # of a position that states none: marks are set so well
 _CURED = 0.3  # share of the distance that other axes or units may leave
 _LEAST_POINTS = 3
 _REACH_MM = 8.0  # a stapes is about 3.5 mm high and 3 mm long
+_LEAST_EXTENT_MM = 0.2  # of points that may show their axes or unit: a smaller cloud lies on any surface
 _EXTENT_MM = (1e-2, 100.0)  # of the points of a stapes: its 3 mm look like 3 um when given in metres
 
 
@@ -99,6 +100,11 @@ def check_surfaces(
             _refuse_other_axes(check, body, placement, mass, surface)
         if check.rms_mm > MOST_DISTANCE_MM:
             step = "Check fiducials, their frame and points; neither other axes nor other units explain it"
+            if placement.registration is None:
+                step = (
+                    "Coordinates of the vibrometer need --fiducials, others the name of their frame "
+                    "(--frame); neither other axes nor other units explain it"
+                )
             expected = f"on the bone within {MOST_DISTANCE_MM:g} mm after registration"
             raise StapeskitError.of(f"the points of body {body.body}", expected, check.words, "", step)
         text = (
@@ -190,9 +196,13 @@ def _refuse_other_axes(
             tried[f"the coordinates in frame {reference} with {words}"] = from_reference.points(
                 inside @ change.T
             )
-    sizes = {words: float(np.sqrt(np.mean(surface.signed(at)[0] ** 2))) for words, at in tried.items()}
-    best = min(sizes, key=lambda words: sizes[words])
-    if sizes[best] < _CURED * check.rms_mm:
+    sizes = {
+        words: float(np.sqrt(np.mean(surface.signed(at)[0] ** 2)))
+        for words, at in tried.items()
+        if float(np.max(np.ptp(at, axis=0))) > _LEAST_EXTENT_MM
+    }
+    best = min(sizes, key=lambda words: sizes[words], default="")
+    if best and sizes[best] < _CURED * check.rms_mm:
         changed = best.partition(" with ")[2]
         got = f"{check.rms_mm:.2g} mm off it as given, {sizes[best]:.2g} mm with {changed}"
         expected = "on the bone of the scan after registration"

@@ -246,6 +246,15 @@ def replace_frames(transform):
     return RigidTransform(transform.matrix, "vibrometer", "footplate")
 
 
+def test_coordinates_of_the_vibrometer_without_fiducials_are_not_called_micrometres(tmp_path):
+    """Divided by a thousand, all points lie at the origin, which is on the footplate."""
+    truth = simulated(tmp_path, seed=5)
+    with pytest.raises(StapeskitError) as caught:
+        measured(tmp_path, mass_of(truth), fiducials="none")
+    assert "--fiducials" in caught.value.faults[0].next_step
+    assert "with micrometres" not in str(caught.value)
+
+
 def test_points_that_lie_on_the_bone_raise_no_alarm(tmp_path):
     chances, sizes = [], []
     for seed in range(8):
