@@ -22,8 +22,7 @@ with app.setup:
     from app.grey import beneath, first_look
     from app.picture import VIEWS, Picture
     from app.session import Session
-    from fitting.choices import DAMPING
-    from fitting.options import COMPARE, KDOptions
+    from fitting.options import COMPARE, DAMPING, KDOptions
     from pipeline.new_study import ASSUMED_DENSITY
     from stapeskit.command import fault_sentence
     from stapeskit.faults import StapeskitError

@@ -109,7 +109,7 @@ def alarms(ears: int) -> None:
 
 def named(fit: KDFit) -> str:
     """Return the cause that is named first, or fluid in the model."""
-    best = fit.solution.search.best
+    best = fit.search.best
     return best.name if best is not None else "fluid" if fluid_mg(fit) else ""
 
 

@@ -28,37 +28,28 @@ _BANDS, _FEWEST_LINES = 5, 8  # bands to see a trend; lines a band: 48 equations
 
 @dataclass(frozen=True)
 class BandFactors:
-    """Local stiffness and damping over those of the whole band.
+    """Local stiffness and damping over those of the whole band; fields are keys of kd.json."""
 
-    Attributes
-    ----------
-    ends_hz : ndarray, (bands, 2)
-        First and last line of each band.
-    factors, sd : ndarray, (2, bands)
-        Of K and of D; their means, weighted by information, are 1.
-    chi2 : float
-        Of all factors being 1.
-    """
-
-    ends_hz: Array
-    factors: Array
-    sd: Array
-    chi2: float
-    n_dof: int
-
-    @property
-    def p_value(self) -> float:
-        """Probability of such factors where one K and one D hold."""
-        return float(chdtrc(self.n_dof, self.chi2))
+    bands_hz: Array  # (bands, 2): first and last line of each band
+    stiffness_factor: Array  # (bands,): their means, weighted by information, are 1
+    stiffness_factor_sd: Array  # (bands,): their means, weighted by information, are 1
+    damping_factor: Array  # (bands,): their means, weighted by information, are 1
+    damping_factor_sd: Array  # (bands,): their means, weighted by information, are 1
+    chi2: float  # of all factors being 1
+    n_dof: int  # of all factors being 1
+    p_value: float  # of all factors being 1
 
     def words(self) -> str:
         """Describe between which factors K and D vary."""
         parts = []
-        for name, factor, sd in zip("KD", self.factors, self.sd, strict=True):
-            ends = [
-                f"{factor[at]:.3f} ± {sd[at]:.1g} ({self.ends_hz[at][0]:.0f} to {self.ends_hz[at][1]:.0f} Hz)"
-                for at in (int(np.argmin(factor)), int(np.argmax(factor)))
-            ]
+        for name, factor, sd in (
+            ("K", self.stiffness_factor, self.stiffness_factor_sd),
+            ("D", self.damping_factor, self.damping_factor_sd),
+        ):
+            ends = []
+            for at in (int(np.argmin(factor)), int(np.argmax(factor))):
+                low, high = self.bands_hz[at]
+                ends.append(f"{factor[at]:.3f} ± {sd[at]:.1g} ({low:.0f} to {high:.0f} Hz)")
             parts.append(f"{name} by factors of {ends[0]} to {ends[1]}")
         return ", ".join(parts)
 
@@ -83,11 +74,7 @@ def band_factors(found: Fit) -> BandFactors | None:
         return None
     members = np.array_split(np.argsort(data.freq_hz, kind="stable"), bands)
     masks = [np.isin(np.arange(data.count), part).astype(float) for part in members]
-    table = [
-        Unknown(f"{name}_{number}", "", "", 1.0, partial(change, mask))
-        for name, change in (("k", _stiffer), ("d", _lossier))
-        for number, mask in enumerate(masks)
-    ]
+    table = [Unknown("", "", "", 1.0, partial(how, mask)) for how in (_stiffer, _lossier) for mask in masks]
     new, free = likelihood.outside(theta, table)
     own = np.sum(new**2, axis=0).reshape(2, bands)
     if own.sum(axis=1).min() < _NOTHING * own.sum():  # K or D is zero, and has no factors
@@ -96,14 +83,14 @@ def band_factors(found: Fit) -> BandFactors | None:
     turned = np.kron(np.eye(2), contrasts)
     free = free @ turned
     level = max(1.0, found.level / found.noise)
-    inverse = np.linalg.inv(free.T @ free)
+    information = free.T @ free
+    inverse = np.linalg.inv(information)
     values = -inverse @ (free.T @ likelihood.residuals(theta))
-    covariance = level * turned @ inverse @ turned.T
-    factors = (turned @ values).reshape(2, bands)
     share = own / own.sum(axis=1, keepdims=True)
     middle = np.eye(2 * bands) - block_diag(*(np.outer(np.ones(bands), own) for own in share))
-    centred = (middle @ factors.ravel()).reshape(2, bands)
-    sd = np.sqrt(np.maximum(np.diag(middle @ covariance @ middle.T), 0.0)).reshape(2, bands)
-    chi2 = float(values @ (free.T @ free) @ values) / level
+    spread = middle @ turned
+    factors = (1.0 + spread @ values).reshape(2, bands)
+    sd = np.sqrt(np.maximum(level * np.diag(spread @ inverse @ spread.T), 0.0)).reshape(2, bands)
+    chi2, n_dof = float(values @ information @ values) / level, 2 * bands - 2
     ends = np.array([[data.freq_hz[part].min(), data.freq_hz[part].max()] for part in members])
-    return BandFactors(ends, 1.0 + centred, sd, chi2, 2 * bands - 2)
+    return BandFactors(ends, factors[0], sd[0], factors[1], sd[1], chi2, n_dof, float(chdtrc(n_dof, chi2)))

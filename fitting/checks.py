@@ -1,26 +1,41 @@
-"""Warnings of a fit: what its numbers, its causes and its inputs deserve; the verdict that they lead to."""
+"""Warnings of a fit, and the ONE verdict that they lead to: believe, check or do not use, causes first."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import chdtr, chdtrc, chdtri
+from scipy.special import chdtr, chdtri
 
 from fitting import entries
 from fitting.bands import SIGNIFICANT_P
-from fitting.causes import UNKNOWNS
 from fitting.options import IGNORE
 from fitting.solve import MISFIT_P
-from fitting.verdict import Verdict, judge, unused_codes
+from fitting.uncertainty import effect_of
+from fitting.unknowns import UNKNOWNS
 from stapeskit.arrays import Array
 from stapeskit.faults import list_some
 from stapeskit.report.quantities import MASS, plus_minus
-from stapeskit.warnings import Notice
+from stapeskit.warnings import VERDICTS, Notice, table
 
 if TYPE_CHECKING:
     from fitting.result import KDFit
+
+BELIEVE = "believe"
+INFORMATION, CHECK, DO_NOT_USE = VERDICTS
+LEVELS = (BELIEVE, CHECK, DO_NOT_USE)
+
+_CHAIN = ("stapeskit", "ct_inertia", "kinematics", "fitting", "pipeline")  # rooms in their order
+# Residuals beyond the noise widen the sd, which covers noise that was stated too small. Where K and D change
+# over the band as well, the one pair of matrices is wrong, and widening does not cover that.
+_TOGETHER = (("misfit", "frequency_dependent"), ("flexible", "frequency_dependent"))
+# What a wrong input makes; its cause is listed before it.
+_OUTCOMES = (
+    "frequency_dependent", "misfit", "implausible_stiffness", "constraint_active", "not_passive", "unstable",
+    "not_converged", "weak_identifiability", "undetermined",
+)  # fmt: skip
 
 PISTON_RANGE = (120.0, 3200.0)
 """Published stiffness of the human annular ligament in piston direction, N/m (paper.md, 6, with a margin)."""
@@ -38,27 +53,28 @@ def verdict_of(fit: KDFit) -> Verdict:
 
     A K without its damping can still be used, which the verdict "check" asks to be looked at.
     """
-    unused = unused_codes(fit.provenance.get("motion_provenance", {}))
-    lost = [name for name, share in _relative_sds(fit).items() if not share <= 1.0]
+    lost = [name for name, sd in _relative_sds(fit).items() if not sd <= 1.0]
     text = f"Undetermined, with a standard deviation above the value: {', '.join(lost)}."
     stiff = any(name.startswith("K") for name in lost)
     notice = Notice("undetermined", text) if stiff else Notice("weak_identifiability", text)
+    unused = unused_codes(fit.provenance.get("motion_provenance", {}))
     return judge([*fit.notices, *([notice] if lost else [])], fit.confirmed, unused)
 
 
 def result_notices(fit: KDFit) -> list[Notice]:
     """Return every warning that a result deserves."""
-    checks = (_physics, _textbook, _misfit, _adopted, _causes, _laws, _inputs, _plane, _weak, _plausibility)
+    checks = (_physics, _noise, _model, _inputs, _plane, _weak, _plausibility)
     return [notice for check in checks for notice in check(fit)]
 
 
 def _relative_sds(fit: KDFit) -> dict[str, float]:
     """Return the standard deviations of the diagonal entries over their values, by K(y) and the like."""
-    relative = {}
-    for letter, values, sds in zip("KD", (fit.stiffness, fit.damping), fit.standard_deviation, strict=True):
-        for name, value, sd in zip(fit.dof, np.abs(np.diag(values)), np.diag(sds), strict=True):
-            relative[f"{letter}({name})"] = float(sd / value) if value > 0.0 else np.inf
-    return relative
+    places = entries.diagonals(len(fit.dof))
+    names = [f"{letter}({name})" for letter in "KD" for name in fit.dof]
+    return {
+        name: float(sd / value) if value > 0.0 else np.inf
+        for name, value, sd in zip(names, np.abs(fit.values[places]), fit.sd[places], strict=True)
+    }
 
 
 def _physics(fit: KDFit) -> Iterator[Notice]:
@@ -69,18 +85,13 @@ def _physics(fit: KDFit) -> Iterator[Notice]:
     if wrong:
         text = "not positive semidefinite: the model can give off energy that it never took in."
         yield Notice("not_passive", f"{' and '.join(wrong)} {text}")
-    active = active_constraints(fit)
-    if active:
+    if fit.active:
         text = "the data alone would lead elsewhere, and intervals near the constraint are approximate."
-        yield Notice("constraint_active", f"The estimate is held back by {', '.join(active)}; {text}")
-
-
-def _textbook(fit: KDFit) -> Iterator[Notice]:
-    book = fit.solution.textbook
-    if book is None:
+        yield Notice("constraint_active", f"The estimate is held back by {', '.join(fit.active)}; {text}")
+    if fit.bias is None:
         return
     found = entries.split(fit.found.theta[fit.found.at["entries"]], len(fit.dof))
-    bias = 100.0 * book.bias / entries.sizes(*found)
+    bias = 100.0 * fit.bias / entries.sizes(*found)
     worst = int(np.argmax(np.abs(bias)))
     if abs(bias[worst]) > 100.0 * _BIASED:
         text = (
@@ -88,52 +99,38 @@ def _textbook(fit: KDFit) -> Iterator[Notice]:
             f"{fit.parameters[worst]} by about {bias[worst]:+.2g} % of sqrt(Xii Xjj). --estimator ml is not."
         )
         yield Notice("attenuation_bias", text)
-    for note in book.notes:
-        yield Notice("constraint_active", f"{note}.")
 
 
-def active_constraints(fit: KDFit) -> tuple[str, ...]:
-    """Return what holds the estimate back: constraints, or the limit of positive semidefinite K and D."""
-    if fit.solution.textbook is not None:
-        return fit.solution.textbook.active
-    parts = entries.split(fit.found.theta[fit.found.at["entries"]], len(fit.dof))
-    active = []
-    for word, part in zip(("stiffness_psd", "damping_psd"), parts, strict=True):
-        root = np.sqrt(np.maximum(np.diag(part), 1e-300))
-        if np.linalg.eigvalsh(part / np.outer(root, root))[0] < 1e-6:
-            active.append(word)
-    return tuple(active)
-
-
-def _misfit(fit: KDFit) -> Iterator[Notice]:
+def _noise(fit: KDFit) -> Iterator[Notice]:
+    """Report what the residuals say of noise and model."""
     found = fit.found
-    if not found.converged and not fit.solution.weak.shape[1]:
+    weak = fit.weak is not None and fit.weak.shape[1]
+    if not found.converged and not weak:
         yield Notice("not_converged", "The fit stopped before it settled; do not trust the result.")
     if found.data.floored:
         text = "The motion has no noise: it was taken as known to 8 digits, and K and D as that allows."
         yield Notice("noise_free", text)
     level = f"chi2 per degree of freedom is {found.level:.3g}"
-    judged = found.n_dof > 0 and found.weights is None
-    if judged and chdtrc(found.n_dof, found.chi2) < MISFIT_P:
+    if not found.explained:
         text = (
             f"Residuals exceed noise and shared errors: {level}. Noise may be understated, or the model "
             "(damping law, neglected motion, mass matrix) is wrong; channel noise was widened by "
             f"{np.sqrt(max(found.level, 1.0)):.3g}, which does not cover a wrong model."
         )
         yield Notice("misfit", text)
-    if judged and not found.data.floored and chdtr(found.n_dof, found.chi2) < MISFIT_P:
+    judged = found.n_dof > 0 and found.weights is None and not found.data.floored
+    if judged and chdtr(found.n_dof, found.chi2) < MISFIT_P:
         yield Notice("noise_level", f"Residuals are smaller than their stated noise: {level}.")
     far = outlying_hz(fit)
     if len(far):
         listed = list_some((f"{hz:.6g}" for hz in far), 5)
         text = f"{len(far)} of {found.data.count} lines are outliers with respect to the noise of the others"
         yield Notice("outliers", f"{text} (at {listed} Hz); they were given little weight.")
-    bands = fit.solution.bands
-    if bands is not None and bands.p_value < SIGNIFICANT_P:
+    if fit.bands is not None and fit.bands.p_value < SIGNIFICANT_P:
         text = (
-            f"One K and one D do not hold over the whole band (p = {bands.p_value:.1g}): {bands.words()}. A "
-            "viscoelastic ligament does this, and so does a wrong mass matrix or damping law; try --damping "
-            "compare, or fit parts with --band."
+            f"One K and one D do not hold over the whole band (p = {fit.bands.p_value:.1g}): "
+            f"{fit.bands.words()}. A viscoelastic ligament does this, and so does a wrong mass matrix or "
+            "damping law; try --damping compare, or fit parts with --band."
         )
         yield Notice("frequency_dependent", text)
 
@@ -152,8 +149,8 @@ def outlying_hz(fit: KDFit) -> Array:
     return fit.found.data.freq_hz[distance > usual * float(chdtri(degrees, _FALSE_OUTLIERS / len(weights)))]
 
 
-def _adopted(fit: KDFit) -> Iterator[Notice]:
-    """Report unknowns that the data have brought into the model."""
+def _model(fit: KDFit) -> Iterator[Notice]:
+    """Report unknowns that the data brought into the model, the best explanation, and laws that are alike."""
     asked = (*fit.options.freed, *fit.options.fixed)
     for unknown, value, sd in fit.unknowns:
         if unknown.adopt and unknown.name not in asked:
@@ -163,53 +160,44 @@ def _adopted(fit: KDFit) -> Iterator[Notice]:
                 "be separated and is included in D11. --unknowns none leaves it out."
             )
             yield Notice(f"{unknown.name}_found", text)
+    best = fit.search.best
+    if best is not None and best.name.removeprefix("law_") not in fit.laws_alike:
+        yield Notice("cause_found", _cause(fit))
+    if fit.laws_alike:
+        text = (
+            f"The damping law is undetermined: {fit.law.name} damping cannot be distinguished from "
+            f"{' or '.join(fit.laws_alike)} damping. K and D are those under {fit.law.name}; their intervals "
+            "include what the others would change."
+        )
+        yield Notice("law_ambiguous", text)
 
 
-def _causes(fit: KDFit) -> Iterator[Notice]:
-    """Report the best explanation, its effect on K and D, and the explanations that are as likely."""
-    best = fit.solution.search.best
-    if best is None or best.name.removeprefix("law_") in fit.solution.laws_alike:
-        return
+def _cause(fit: KDFit) -> str:
+    """Return the best explanation, its effect on K and D, and the explanations that are as likely."""
+    best = fit.search.best
+    assert best is not None  # noqa: S101
     size = f" of {plus_minus(best.value, best.sd)} {best.unit}".rstrip() if best.sd > 0.0 else ""
-    change = 100.0 * fit.effect(best)[:, 0] / entries.sizes(fit.stiffness, fit.damping)
+    change = 100.0 * effect_of(fit, best)[:, 0] / entries.sizes(fit.stiffness, fit.damping)
     worst = int(np.argmax(np.abs(change)))
-    alike = " or ".join(other.title for other in fit.solution.search.look_alikes)
+    alike = " or ".join(other.title for other in fit.search.look_alikes)
     sentences = [
-        f"The best explanation is {best.title} ({best.name}){size}",
         f"its odds against none are e^{best.log_odds:.0f}.",
         f"With it {fit.parameters[worst]} changes by {change[worst]:+.2g} % of sqrt(Xii Xjj).",
         f"It cannot be distinguished from {alike}." if alike else "",
         "K and D are without it, but their intervals include that change.",
+        f"--unknowns {best.name} estimates and removes it." if best.name in UNKNOWNS else "",
+        f"Use --damping {best.found.law.name}, or compare." if best.unknown is None else "",
+        "" if best.found.explained else "It does not explain the whole misfit.",
     ]
-    if best.name in UNKNOWNS:
-        sentences.append(f"--unknowns {best.name} estimates and removes it.")
-    elif best.unknown is None:
-        sentences.append(f"Use --damping {best.name.removeprefix('law_')}, or compare.")
-    sentences.append("" if best.found.explained else "It does not explain the whole misfit.")
     if any(notice.code == "motion_without_h5" for notice in fit.notices):
         sentences.append("The motion was read without the correlations of its noise: fit with its .h5 file.")
-    yield Notice("cause_found", "; ".join([sentences[0], " ".join(filter(None, sentences[1:]))]))
-
-
-def _laws(fit: KDFit) -> Iterator[Notice]:
-    alike, lost = fit.solution.laws_alike, fit.solution.undetermined
-    if alike:
-        text = (
-            f"The damping law is undetermined: {fit.law.name} damping cannot be distinguished from "
-            f"{' or '.join(alike)} damping. K and D are those under {fit.law.name}; their intervals include "
-            "what the others would change."
-        )
-        yield Notice("law_ambiguous", text)
-    if lost:
-        text = f"These damping laws could not be fitted and are not compared: {', '.join(lost)}."
-        yield Notice("law_ambiguous", text)
+    return f"The best explanation is {best.title} ({best.name}){size}; {' '.join(filter(None, sentences))}"
 
 
 def _inputs(fit: KDFit) -> Iterator[Notice]:
-    data = fit.found.data
-    if data.dropped:
-        yield Notice("file_read", f"{data.dropped} lines were left out: a value is missing there.")
-    if not fit.solution.inertia.contributions:
+    if fit.found.data.dropped:
+        yield Notice("file_read", f"{fit.found.data.dropped} lines were left out: a value is missing there.")
+    if not fit.inertia.contributions:
         text = "The mass matrix came without an uncertainty; the intervals of K and D do not include it."
         yield Notice("mass_uncertainty_not_given", text)
 
@@ -223,13 +211,6 @@ def _plane(fit: KDFit) -> Iterator[Notice]:
             f"The measured motion {others} loads the structure too, but the mass matrix lacks these degrees "
             "of freedom: K and D err by what the load comes to. Give mass.json, which has all six, or say "
             "by --inplane ignore that the load is small."
-        )
-        yield Notice("inplane_neglected", text)
-    if fit.solution.neglected is not None:
-        place, change = fit.solution.neglected
-        text = (
-            f"The measured motion {others} is significant but left out; it moves {fit.parameters[place]} by "
-            f"{100.0 * change:.2g} % of sqrt(Xii Xjj). Use --inplane load, or auto."
         )
         yield Notice("inplane_neglected", text)
     if fit.plane is not None and not fit.plane.determined:
@@ -246,21 +227,21 @@ def _weak(fit: KDFit) -> Iterator[Notice]:
     worst, parts = fit.combinations[0]
     if worst > _IMPRECISE:
         named = ", ".join(f"{weight:+.2f} {name}" for name, weight in parts.items())
+        weak = [name for name, share in _relative_sds(fit).items() if share > _IMPRECISE]
+        text = f" Known to no better than 30 percent: {', '.join(weak)}." if weak else ""
         text = (
             "The data determine some entries weakly, relative to sqrt(Xii Xjj): the worst combination of "
-            f"them, {named}, has the standard deviation {100.0 * worst:.3g} %."
+            f"them, {named}, has the standard deviation {100.0 * worst:.3g} %.{text}"
         )
-        weak = [name for name, share in _relative_sds(fit).items() if share > _IMPRECISE]
-        text += f" Known to no better than 30 percent: {', '.join(weak)}." if weak else ""
         yield Notice("weak_identifiability", text)
 
 
 def _plausibility(fit: KDFit) -> Iterator[Notice]:
     """Compare mass, piston stiffness and radii of gyration with those of human stapedes."""
-    place = next((place for place, name in enumerate(fit.dof) if name in "xyz"), None)
-    if place is None:
+    translations = [place for place, name in enumerate(fit.dof) if name in "xyz"]
+    if not translations:
         return
-    mass_kg = float(fit.mass[place, place])
+    mass_kg = float(fit.mass[translations[0], translations[0]])
     if "stapes" in fit.options.structure.lower() and not _within(mass_kg, _MASS_RANGE_KG):
         text = (
             f"The mass matrix gives the {fit.options.structure} {MASS.text(mass_kg, '.3g')}; human ones "
@@ -271,20 +252,20 @@ def _plausibility(fit: KDFit) -> Iterator[Notice]:
         yield Notice("implausible_mass", text)
     if "y" not in fit.dof:
         return
-    place = fit.dof.index("y")
-    value = float(fit.stiffness[place, place])
+    piston = fit.dof.index("y")
+    value = float(fit.stiffness[piston, piston])
     if not _within(value, PISTON_RANGE):
-        text = "{:g} to {:g} N/m of human annular ligaments.".format(*PISTON_RANGE)
-        text = f"The piston stiffness {value:.4g} N/m lies outside the published {text}"
-        if _within(value / (2.0 * np.pi) ** 2, PISTON_RANGE) and value > 3.0 * PISTON_RANGE[1]:
-            slow = value / (2.0 * np.pi) ** 2
+        text = (
+            f"The piston stiffness {value:.4g} N/m lies outside the published {PISTON_RANGE[0]:g} to "
+            f"{PISTON_RANGE[1]:g} N/m of human annular ligaments."
+        )
+        slow = value / (2.0 * np.pi) ** 2
+        if _within(slow, PISTON_RANGE) and value > 3.0 * PISTON_RANGE[1]:
             text += f" It would be {slow:.4g} N/m if freq_hz held angular frequencies (rad/s): check that."
         yield Notice("implausible_stiffness", text)
-    for name in ("alpha", "gamma"):
-        if name not in fit.dof:
-            continue
+    for name in (name for name in ("alpha", "gamma") if name in fit.dof):
         other = fit.dof.index(name)
-        radius = 1e3 * float(np.sqrt(fit.mass[other, other] / fit.mass[place, place]))
+        radius = 1e3 * float(np.sqrt(fit.mass[other, other] / fit.mass[piston, piston]))
         if not _within(radius, _GYRATION_RANGE_MM):
             text = f"The radius of gyration of {name}, {radius:.3g} mm, does not fit a human stapes"
             yield Notice("implausible_mass", f"{text}; check the units of M.")
@@ -292,3 +273,81 @@ def _plausibility(fit: KDFit) -> Iterator[Notice]:
 
 def _within(value: float, ends: tuple[float, float]) -> bool:
     return ends[0] <= value <= ends[1]
+
+
+@dataclass(frozen=True)
+class Reason:
+    """One reason of a verdict: what it alone would make of the study."""
+
+    code: str
+    text: str
+    level: str
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Believe, check or do not use, with reasons by weight; codes that the user confirmed do not count."""
+
+    level: str
+    reasons: tuple[Reason, ...]
+    confirmed: tuple[str, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in one line, the same on every terminal and page."""
+        if not self.reasons:
+            return f"{self.level}: no warning speaks against it"
+        codes = dict.fromkeys(reason.code for reason in self.reasons if reason.level == self.level)
+        return f"{self.level}: {list_some(codes, 5)}"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the block ``verdict`` of kd.json."""
+        return {**asdict(self), "sentence": self.sentence}
+
+
+def judge(notices: Iterable[Notice], confirmed: Sequence[str] = (), unused: Sequence[str] = ()) -> Verdict:
+    """Return the verdict that warnings lead to.
+
+    Parameters
+    ----------
+    confirmed : sequence of str
+        Codes, or their first words (``handedness``), that the user has checked: they no longer count.
+    unused : sequence of str
+        Codes, or their first words, that follow from what the study does not use.
+    """
+    listed = list(dict.fromkeys(notices))
+    checked = [notice.code for notice in listed if _is_among(notice.code, confirmed)]
+    left = [notice for notice in listed if not _is_among(notice.code, (*confirmed, *unused))]
+    codes = {notice.code for notice in left}
+    reasons = [Reason(notice.code, notice.text, _level(notice.code, codes)) for notice in left]
+    reasons = [reason for reason in reasons if reason.level != BELIEVE]
+    reasons.sort(key=lambda reason: (-LEVELS.index(reason.level), *_rank(reason.code)))
+    level = max((reason.level for reason in reasons), key=LEVELS.index, default=BELIEVE)
+    return Verdict(level, tuple(reasons), tuple(dict.fromkeys(checked)))
+
+
+def _is_among(code: str, names: Sequence[str]) -> bool:
+    return any(code == name or code.startswith(f"{name}_") for name in names)
+
+
+def _level(code: str, codes: set[str]) -> str:
+    """Return the level of the verdict by one warning, given all codes of a study."""
+    if any(code in pair and set(pair) <= codes for pair in _TOGETHER):
+        return DO_NOT_USE
+    level = table()[code].verdict if code in table() else CHECK
+    return BELIEVE if level == INFORMATION else level
+
+
+def _rank(code: str) -> tuple[int, int]:
+    """Return the order of a code: what others follow from comes first, room by room of the chain."""
+    room = table()[code].room if code in table() else "fitting"
+    return (1 + _OUTCOMES.index(code) if code in _OUTCOMES else 0, _CHAIN.index(room))
+
+
+def unused_codes(motion_provenance: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return warnings that do not concern a motion whose marks are all in scan coordinates.
+
+    It does not use the plate, and its registration would not fit if scan or vibrometer alone were mirrored.
+    """
+    all_in_scan = motion_provenance.get("registered_in") == ["scan"]
+    return ("plate", "handedness_unconfirmed") if all_in_scan else ()

@@ -98,13 +98,13 @@ def _plan(files: KDFiles) -> Outcome:
     outputs.check()
     with progress_line(not files.quiet) as progress:
         progress("simulating and fitting the planned measurement")
-        ways = expect(plan, source)
+        fits = expect(plan, source)
         provenance = record({"plan": path, "mass": mass}, {})
-        content = plan_json(plan, ways, provenance)
+        content = plan_json(plan, fits, provenance)
         with outputs.staged() as folder:
             (folder / out.name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-            plan_page(plan, ways, provenance).write(folder / page_name)
-    rows = plan_rows(ways)
+            plan_page(plan, fits, provenance).write(folder / page_name)
+    rows = plan_rows(fits)
     return Outcome("What the plan reaches", rows, (), outputs.paths(), content, files.as_json, files.quiet)
 
 

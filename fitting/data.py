@@ -30,58 +30,25 @@ _AS_ONE = 1e-9
 
 @dataclass(frozen=True)
 class Data:
-    """Lines of both bodies without units; runs follow one after the other.
+    """Lines of both bodies without units; runs follow one after the other."""
 
-    Attributes
-    ----------
-    dof : tuple of str, (n,)
-        Degrees of freedom of the model.
-    measured : tuple of str, (m,)
-        Those that were measured, in fixed order.
-    freq_hz : ndarray, (lines,)
-    run : ndarray, (lines,), int
-        Place of the run of each line in ``runs``.
-    reference : float
-        Angular frequency that is one, rad/s.
-    amplitude : float
-        Scaled motion is root_mass q / amplitude.
-    root_mass : ndarray, (m,)
-        Square roots of the diagonal of M, SI.
-    y : ndarray, (lines, 2 m), complex
-        Structure, then base.
-    covariance : ndarray, (lines, 2 m, 2 m), complex
-    mass : ndarray, (m, m)
-        Scaled: ones on its diagonal.
-    mass_changes : ndarray, (k, m, m)
-        By the shared errors.
-    maps : tuple of Maps
-    sources : tuple of str, (k,)
-        Source of each shared error, for the budget.
-    mass_known : tuple of str
-        Degrees of freedom of the mass matrix.
-    dropped : int
-        Lines that were left out because a value is missing.
-    floored : bool
-        Whether the stated noise was raised to the digits that files keep.
-    """
-
-    dof: tuple[str, ...]
-    measured: tuple[str, ...]
-    freq_hz: Array
-    run: NDArray[np.intp]
+    dof: tuple[str, ...]  # degrees of freedom of the model
+    measured: tuple[str, ...]  # those that were measured, in fixed order
+    freq_hz: Array  # (lines,)
+    run: NDArray[np.intp]  # (lines,): place of the run of each line in ``runs``
     runs: tuple[str, ...]
-    reference: float
-    amplitude: float
-    root_mass: Array
-    y: ComplexArray
-    covariance: ComplexArray
-    mass: Array
-    mass_changes: Array
+    reference: float  # angular frequency that is one, rad/s
+    amplitude: float  # scaled motion is root_mass q / amplitude
+    root_mass: Array  # (m,): square roots of the diagonal of M, SI
+    y: ComplexArray  # (lines, 2 m) complex: structure, then base
+    covariance: ComplexArray  # (lines, 2 m, 2 m) complex
+    mass: Array  # (m, m): scaled: ones on its diagonal
+    mass_changes: Array  # (k, m, m): by the shared errors
     maps: tuple[Maps, ...]
-    sources: tuple[str, ...]
-    mass_known: tuple[str, ...]
-    dropped: int = 0
-    floored: bool = False
+    sources: tuple[str, ...]  # source of each shared error, for the budget
+    mass_known: tuple[str, ...]  # degrees of freedom of the mass matrix
+    dropped: int = 0  # lines that were left out because a value is missing
+    floored: bool = False  # whether the stated noise was raised to the digits that files keep
 
     @property
     def omega(self) -> Array:
@@ -175,44 +142,35 @@ def data_of(
         than the unknowns.
     """
     _check_motion(motion, dof, structure, base)
-    first, second, m = motion.body(structure), motion.body(base), len(motion.dof)
+    bodies, m = (motion.body(structure), motion.body(base)), len(motion.dof)
     inside = np.ones(len(motion.freq_hz), dtype=bool)
     if band_hz is not None:
         inside &= (motion.freq_hz >= band_hz[0]) & (motion.freq_hz <= band_hz[1])
     for low, high in exclude_hz:
         inside &= (motion.freq_hz < low) | (motion.freq_hz > high)
-    q, covariance, freq, run, keeps = [], [], [], [], []
-    for place in range(len(motion.runs)):
-        both, joint = motion.pair(place, first, second)
-        keep = inside & np.all(np.isfinite(both), axis=1)
-        keeps.append(keep)
-        q.append(both[keep])
-        covariance.append(joint[keep])
-        freq.append(motion.freq_hz[keep])
-        run.append(np.full(int(keep.sum()), place))
-    lines: ComplexArray = np.concatenate(q)
-    noise: ComplexArray = np.concatenate(covariance).astype(complex)
-    dropped = sum(int(np.sum(inside & ~keep)) for keep in keeps)
-    freq_hz = np.concatenate(freq)
+    pairs = [motion.pair(place, *bodies) for place in range(len(motion.runs))]
+    whole, noise = (np.stack(parts).astype(complex) for parts in zip(*pairs, strict=True))
+    keep = inside & np.all(np.isfinite(whole), axis=2)
+    run, line = np.nonzero(keep)
+    q, noise, freq_hz, dropped = whole[keep], noise[keep], motion.freq_hz[line], int(np.sum(inside & ~keep))
     _check_lines(motion, freq_hz, dof, band_hz, exclude_hz, dropped)
     rows = [motion.dof.index(name) for name in dof]
-    _check_sizes(motion, lines, noise, freq_hz, rows, (structure, base))
+    _check_sizes(motion, q, noise, freq_hz, rows, (structure, base))
     mass, root = _scaled_mass(inertia, motion.dof)
-    deflection = (lines[:, rows] - lines[:, [m + row for row in rows]]) * root[rows]
-    amplitude = float(np.sqrt(np.mean(np.abs(deflection) ** 2)))
-    amplitude = amplitude if amplitude > 0.0 else 1.0
+    deflection = (q[:, rows] - q[:, [m + row for row in rows]]) * root[rows]
+    amplitude = float(np.sqrt(np.mean(np.abs(deflection) ** 2))) or 1.0
     reference = float(np.exp(np.mean(np.log(2.0 * np.pi * freq_hz))))
     unit = np.tile(root, 2) / amplitude
-    y, noise = lines * unit, noise * np.outer(unit, unit)
+    y, noise = q * unit, noise * np.outer(unit, unit)
     floor = NOISE_FLOOR**2 * np.mean(np.abs(y) ** 2, axis=0)
     floor = np.maximum(floor, 1e-6 * floor.max())
     floored = bool(np.any(np.einsum("lii->li", noise).real[:, rows] < floor[rows]))
     noise = noise + np.diag(floor) if floored else noise
     data = Data(
-        dof, motion.dof, freq_hz, np.concatenate(run), motion.runs, reference, amplitude, root, y,
+        dof, motion.dof, freq_hz, run, motion.runs, reference, amplitude, root, y,
         noise, mass, np.zeros((0, m, m)), (), (), inertia.dof, dropped, floored,
     )  # fmt: skip
-    return with_shared_errors(data, motion, inertia, (first, second), keeps, unit)
+    return with_shared_errors(data, motion, inertia, bodies, keep)
 
 
 def _scaled_mass(inertia: Inertia, measured: tuple[str, ...]) -> tuple[Array, Array]:
@@ -235,21 +193,17 @@ def _scaled_mass(inertia: Inertia, measured: tuple[str, ...]) -> tuple[Array, Ar
 
 
 def _check_motion(motion: RigidMotion, dof: tuple[str, ...], structure: str, base: str) -> None:
-    faults = []
+    faults, again = list[Fault](), "Run points2dof again"
     if structure == base:
         faults.append(Fault("--structure and --base", "two different bodies", structure, "", "Name both"))
-    missing = [name for name in dof if name not in motion.dof]
-    if missing:
+    if missing := [name for name in dof if name not in motion.dof]:
         wanted = f"degrees of freedom that were measured ({', '.join(motion.dof)})"
         step = "Choose others with --dof or run points2dof with more"
         faults.append(Fault("--dof", wanted, ", ".join(missing), "", step))
-    for name, value, wanted in (
-        ("about", motion.about, "footplate_centre"),
-        ("axes", motion.axes, "footplate"),
-    ):
-        if value != wanted:
-            step = "Run points2dof again"
-            faults.append(Fault(f"the motion's {name}", wanted, value, "", step))
+    if motion.about != "footplate_centre":
+        faults.append(Fault("the motion's about", "footplate_centre", motion.about, "", again))
+    if motion.axes != "footplate":
+        faults.append(Fault("the motion's axes", "footplate", motion.axes, "", again))
     raise_all(faults)
 
 
@@ -271,15 +225,12 @@ def _check_lines(
             step = f"{ends}: widen --band or exclude less"
         where = f"{dropped} lines have missing values" if dropped else ""
         raise StapeskitError.of("the band", "one with measured lines of both bodies", "none", where, step)
-    n, unknowns = len(dof), len(dof) * (len(dof) + 1)
-    distinct = len(np.unique(freq_hz))
-    if 2 * n * len(freq_hz) < unknowns or distinct < 2:
-        raise StapeskitError.of(
-            "the data",
-            f"at least {unknowns} equations at 2 or more frequencies for {unknowns} unknowns",
-            f"{2 * n * len(freq_hz)} equations at {distinct} frequencies",
-            next_step="Measure more lines or fit fewer degrees of freedom with --dof",
-        )
+    equations, unknowns, distinct = 2 * len(dof) * len(freq_hz), len(dof) * (len(dof) + 1), len(set(freq_hz))
+    if equations < unknowns or distinct < 2:
+        wanted = f"at least {unknowns} equations at 2 or more frequencies for {unknowns} unknowns"
+        got = f"{equations} equations at {distinct} frequencies"
+        step = "Measure more lines or fit fewer degrees of freedom with --dof"
+        raise StapeskitError.of("the data", wanted, got, next_step=step)
 
 
 def _check_sizes(
@@ -300,12 +251,10 @@ def _check_sizes(
         unit = "rad" if turns[column] else "m"
         thing = f"the motion {motion.dof[column % m]} of {bodies[column // m]}"
         wanted = f"of a size like at the other lines, {middle[column]:.3g} {unit} in the median"
-        step = "Correct this line, or leave it out by --exclude"
-        got = f"{size[line, column]:.3g} {unit}"
+        got, step = f"{size[line, column]:.3g} {unit}", "Correct this line, or leave it out by --exclude"
         faults.append(Fault(thing, wanted, got, f"{freq_hz[line]:.6g} Hz", step))
-    moved = np.sqrt(np.mean(size[:, rows] ** 2, axis=0))
-    deflection = q[:, rows] - q[:, [m + row for row in rows]]
-    deflected = np.sqrt(np.mean(np.abs(deflection) ** 2, axis=0))
+    others = [m + row for row in rows]
+    moved, deflected = (np.linalg.norm(part, axis=0) for part in (q[:, rows], q[:, rows] - q[:, others]))
     still = [motion.dof[row] for row, a, b in zip(rows, moved, deflected, strict=True) if b <= _AS_ONE * a]
     if still:
         got = f"the same one in {', '.join(still)}, where the stiffness is therefore unidentifiable"
@@ -313,11 +262,10 @@ def _check_sizes(
         wanted = "different in every degree of freedom of --dof"
         faults.append(Fault("the motion of structure and base", wanted, got, "", step))
     variance = np.einsum("lii->li", covariance).real
-    for place in (*rows, *(m + row for row in rows)):
-        wrong = ~(variance[:, place] >= 0.0) | ~np.isfinite(variance[:, place])
-        if np.any(wrong):
-            thing = f"the noise variances of {bodies[place // m]} {motion.dof[place % m]}"
-            step = "Give sd, coherence or several runs to points2dof"
-            got = f"{int(wrong.sum())} that are missing or negative"
-            faults.append(Fault(thing, "zero or positive at every line", got, "", step))
+    wrong = np.sum(~(variance >= 0.0) | ~np.isfinite(variance), axis=0)
+    for place in (place for place in (*rows, *others) if wrong[place]):
+        thing = f"the noise variances of {bodies[place // m]} {motion.dof[place % m]}"
+        step = "Give sd, coherence or several runs to points2dof"
+        got = f"{wrong[place]} that are missing or negative"
+        faults.append(Fault(thing, "zero or positive at every line", got, "", step))
     raise_all(faults)

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fitting.checks import result_notices
-from fitting.kd import finite_solution, solve
-from fitting.mass import has_products, read_mass_csv, with_tensor_signs
+from fitting.data import data_of
+from fitting.kd import fit_kd
+from fitting.mass import has_products, inertia_of, read_mass_csv, with_tensor_signs
 from fitting.options import KDOptions
 from fitting.result import KDFit
 from fitting.suspicions import suspicions
@@ -34,25 +35,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MassSource:
-    """A mass as it was given.
-
-    Attributes
-    ----------
-    mass : MassMatrix or ndarray
-    record : MassRecord or None
-        The whole mass.json, where it is one.
-    file : Path or None
-    notices : tuple of Notice
-        What was assumed of it.
-    source : Path, mapping or None
-        For the provenance.
-    """
+    """A mass as it was given."""
 
     mass: MassMatrix | Array
-    record: MassRecord | None = None
+    record: MassRecord | None = None  # the whole mass.json, where it is one
     file: Path | None = None
-    notices: tuple[Notice, ...] = ()
-    source: Path | Mapping[str, Any] | None = None
+    notices: tuple[Notice, ...] = ()  # what was assumed of it
+    source: Path | Mapping[str, Any] | None = None  # for the provenance
 
 
 @with_options(KDOptions)
@@ -204,7 +193,7 @@ def check_chain(
     if known is None:
         return []
     travelling = [replace(notice, text=f"mass: {notice.text}") for notice in known.notices]
-    own = document_hash(known.raw)
+    own, given = document_hash(known.raw), "the given mass" if source.file is None else source.file.name
     used = (motion.provenance.get("inputs") or {}).get("mass") or {}
     if used.get("document_hash"):
         same = used["document_hash"] == own
@@ -214,15 +203,11 @@ def check_chain(
         origin = "the mass.json of its study"
     if same:
         return travelling
-    given = "the given mass" if source.file is None else source.file.name
     if not force:
-        raise StapeskitError.of(
-            "--mass",
-            f"the file whose frames {motion_name} was computed with, {origin}",
-            f"{given} with the content {own}",
-            "" if source.file is None else str(source.file),
-            f"Give that file, run points2dof again with {given}, or use the given one by --force",
-        )
+        wanted = f"the file whose frames {motion_name} was computed with, {origin}"
+        got, where = f"{given} with the content {own}", "" if source.file is None else str(source.file)
+        step = f"Give that file, run points2dof again with {given}, or use the given one by --force"
+        raise StapeskitError.of("--mass", wanted, got, where, step)
     text = f"{motion_name} was computed with the frames of {origin}, not with {given} ({own}; --force)."
     return [Notice("other_mass_file", text), *travelling]
 
@@ -242,24 +227,31 @@ def fit_of(
     Raises
     ------
     StapeskitError
-        What `fitting.kd.solve` refuses; motion and mass do not belong together.
+        Motion, mass and options do not fit together, or the data cannot determine the unknowns at all.
     """
     chain = check_chain(motion, motion_name, source, force)
-    solution = solve(motion, source.mass, options)
-    doubts = suspicions(solution.found.data, options.damping)
+    inertia = inertia_of(source.mass, options.dof)
+    bodies = options.structure, options.base
+    data = data_of(motion, inertia, options.dof, *bodies, options.band_hz, options.exclude_hz)
     raw = {} if source.record is None else source.record.raw
-    fit = KDFit(
-        options,
-        solution,
-        unique([*chain, *source.notices, *motion.notices, *doubts]),
-        {**provenance, **_measured_files(motion), "motion_provenance": dict(motion.provenance)},
-        _outline_of(raw),
-        str((raw.get("frames") or {}).get("side") or ""),
-        () if source.file is None else (source.file,),
-        confirmed=tuple(confirmed),
-    )
-    with finite_solution():
+    try:
+        fit = fit_kd(data, inertia, options)
+        made_from = {**_measured_files(motion), "motion_provenance": dict(motion.provenance)}
+        fit = replace(
+            fit,
+            notices=(*chain, *source.notices, *motion.notices, *suspicions(data, options.damping)),
+            provenance={**provenance, **made_from},
+            outline_mm=_outline_of(raw),
+            side=str((raw.get("frames") or {}).get("side") or ""),
+            files=() if source.file is None else (source.file,),
+            confirmed=tuple(confirmed),
+        )
         fit = replace(fit, notices=unique([*fit.notices, *result_notices(fit)]))
+    except np.linalg.LinAlgError:
+        wanted = "of sizes from which stiffness and damping follow"
+        got = "equations without a finite solution"
+        step = "Look for columns or bodies in each other's place, wrong units, lines far beyond the others"
+        raise StapeskitError.of("motion and mass", wanted, got, "", step) from None
     if options.monte_carlo:
         from fitting.montecarlo import scatter
 

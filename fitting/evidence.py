@@ -14,12 +14,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
-from fitting.causes import candidates
 from fitting.data import Data
 from fitting.laws import LAWS
 from fitting.likelihood import Likelihood
 from fitting.solve import Fit, bic, fit, minimise, start_of
-from fitting.unknowns import Parts, Unknown
+from fitting.unknowns import Parts, Unknown, candidates
 from stapeskit.arrays import Array
 
 _SHORTLIST = 5  # refits of a search
@@ -32,38 +31,52 @@ LOOK_ALIKE = 3.0
 
 @dataclass(frozen=True)
 class Score:
-    """An unknown to first order at a fit without it: size, sd and log odds against none."""
+    """An unknown to first order at a fit without it: size, sd and log odds against none.
+
+    ``share`` is the part of the log odds that the other places of its family add.
+    """
 
     unknown: Unknown
     value: float
     sd: float
     log_odds: float
+    share: float = 0.0
+
+    @property
+    def found_from(self) -> float:
+        """Size from which the unknown is found in four of five measurements, in its unit.
+
+        Its log odds are above LOOK_ALIKE for |estimate| > sd sqrt(2 ln(...)); 0.84 sd more give 80 %.
+        """
+        narrow, wide = self.sd**2, self.sd**2 + self.unknown.sd**2
+        needed = np.log(wide / narrow) - 2.0 * np.log(self.unknown.chance) + 2.0 * LOOK_ALIKE
+        return float(np.sqrt(needed / (1.0 / narrow - 1.0 / wide)) + 0.84 * self.sd)
 
 
 @dataclass(frozen=True)
 class Alternative:
-    """A refit with one more unknown, or under another damping law.
+    """A refit with one more unknown, or under another damping law."""
 
-    Attributes
-    ----------
-    name, title, unit : str
-    value, sd : float
-        Size of the unknown in its unit; for a law that of its own unknown.
-    log_odds : float
-        Against the fit without it.
-    found : Fit
-    unknown : Unknown or None
-        None for a damping law.
-    """
-
-    name: str
-    title: str
-    unit: str
-    value: float
-    sd: float
-    log_odds: float
+    value: float  # size of the unknown in its unit; for a law that of its own unknown
+    sd: float  # size of the unknown in its unit; for a law that of its own unknown
+    log_odds: float  # against the fit without it
     found: Fit = field(repr=False)
-    unknown: Unknown | None = None
+    unknown: Unknown | None = None  # none for a damping law
+
+    @property
+    def name(self) -> str:
+        """Name of the unknown, or ``law_`` and that of the law."""
+        return f"law_{self.found.law.name}" if self.unknown is None else self.unknown.name
+
+    @property
+    def title(self) -> str:
+        """What it is, as written within a sentence."""
+        return f"{self.found.law.name} damping" if self.unknown is None else self.unknown.title
+
+    @property
+    def unit(self) -> str:
+        """Unit of its value."""
+        return ("s" if self.found.law.kind.is_time else "") if self.unknown is None else self.unknown.unit
 
     @property
     def determined(self) -> bool:
@@ -73,13 +86,7 @@ class Alternative:
 
 @dataclass(frozen=True)
 class Search:
-    """Scores of every unknown and refits of the likeliest, best first.
-
-    Attributes
-    ----------
-    scores : tuple of Score
-        The best of each family.
-    """
+    """Scores of every unknown, the best of each family, and refits of the likeliest, best first."""
 
     scores: tuple[Score, ...] = ()
     alternatives: tuple[Alternative, ...] = ()
@@ -106,17 +113,58 @@ class Search:
         return tuple(other for other in self.alternatives if other is not best and other.log_odds > least)
 
 
+def search(found: Fit, laws: bool = True) -> Search:
+    """Score every unknown and refit with the likeliest; in a misfit also with those that may be large.
+
+    Parameters
+    ----------
+    laws : bool
+        Whether other damping laws are among the causes: the law was stated and not compared.
+    """
+    present = {unknown.name for unknown in found.likelihood.model.unknowns}
+    table = [unknown for unknown in candidates(found.data) if unknown.name not in present]
+    *scores, power, relaxing = screen(found, [*table, *_LAW_SCORES])
+    listed = _of_families(scores)
+    misfit = not found.explained
+    by_law = laws and (misfit or max(power.log_odds, relaxing.log_odds) > 0.0)
+    likely = [score for score in listed if score.log_odds > _LEAST_ODDS][:_SHORTLIST]
+    large = [score for score in listed if score not in likely and _may_be_large(score.unknown)]
+    alternatives = _other_laws(found) if by_law else []
+    for score in (*likely, *(large if misfit else ())):
+        explained = any(other.found.explained for other in alternatives)
+        if explained and score in large:
+            break
+        other = _refit(found, score, explained)
+        alternatives += [] if other is None else [other]
+    return Search(tuple(listed), tuple(sorted(alternatives, key=lambda other: -other.log_odds)))
+
+
+def _may_be_large(unknown: Unknown) -> bool:
+    """Return whether an unknown may be as large as the body itself: a linear test says little then."""
+    return bool(unknown.starts) or unknown.name in ("inertia", "mirrored")
+
+
+def _power(value: float, parts: Parts, data: Data) -> None:
+    parts.loss = parts.loss + value * parts.loss * np.log(1j * data.omega)
+
+
+def _relaxing(value: float, parts: Parts, data: Data) -> None:
+    parts.loss = parts.loss + value * data.omega**2
+
+
+_LAW_SCORES = (Unknown("law_power", "", "", 0.5, _power), Unknown("law_relaxation", "", "", 0.3, _relaxing))
+"""Damping of another power of the frequency, and one that relaxes, to first order."""
+
+
 def screen(found: Fit, table: Sequence[Unknown]) -> list[Score]:
-    """Return unknowns outside the model to first order, likeliest first: the efficient score of each."""
-    likelihood, theta = found.likelihood, found.theta
-    _, free = likelihood.outside(theta, table)
+    """Return unknowns outside the model to first order: the efficient score of each."""
+    _, free = found.likelihood.outside(found.theta, table)
     information = np.maximum(np.sum(free**2, axis=0), 1e-12)
-    values, sds = -(free.T @ likelihood.residuals(theta)) / information, 1.0 / np.sqrt(information)
-    scores = [
-        Score(unknown, float(value), float(sd), log_odds(float(value), float(sd), unknown))
-        for unknown, value, sd in zip(table, values, sds, strict=True)
+    values = -(free.T @ found.likelihood.residuals(found.theta)) / information
+    return [
+        Score(unknown, value, sd, log_odds(value, sd, unknown))
+        for unknown, value, sd in zip(table, values.tolist(), (information**-0.5).tolist(), strict=True)
     ]
-    return sorted(scores, key=lambda score: -score.log_odds)
 
 
 def log_odds(value: float, sd: float, unknown: Unknown) -> float:
@@ -130,47 +178,34 @@ def log_odds(value: float, sd: float, unknown: Unknown) -> float:
     return float(odds)
 
 
-def found_from(score: Score) -> float:
-    """Return the size from which an unknown is found in four of five measurements, in its unit.
-
-    Its log odds are above LOOK_ALIKE for |estimate| > sd sqrt(2 ln(...)); 0.84 sd more give 80 %.
-    """
-    narrow, wide = score.sd**2, score.sd**2 + score.unknown.sd**2
-    needed = np.log(wide / narrow) - 2.0 * np.log(score.unknown.chance) + 2.0 * LOOK_ALIKE
-    return float(np.sqrt(needed / (1.0 / narrow - 1.0 / wide)) + 0.84 * score.sd)
-
-
-def family_terms(scores: Sequence[Score]) -> list[tuple[Score, float]]:
-    """Return the best score of each family, with what the other places add to its log odds."""
+def _of_families(scores: Sequence[Score]) -> list[Score]:
+    """Return the best score of each family with the odds of all its places, likeliest first."""
     families: dict[str, list[Score]] = {}
-    for score in scores:
+    for score in sorted(scores, key=lambda score: -score.log_odds):
         families.setdefault(score.unknown.family or score.unknown.name, []).append(score)
     found = []
     for members in families.values():
         odds = np.array([member.log_odds for member in members])
         share = float(logsumexp(odds - odds[0]) - np.log(len(members)))
-        found.append((replace(members[0], log_odds=members[0].log_odds + share), share))
-    return sorted(found, key=lambda pair: -pair[0].log_odds)
+        found.append(replace(members[0], log_odds=members[0].log_odds + share, share=share))
+    return sorted(found, key=lambda score: -score.log_odds)
 
 
-def refit(found: Fit, score: Score, share: float = 0.0, explained: bool = False) -> Alternative | None:
+def _refit(found: Fit, score: Score, explained: bool) -> Alternative | None:
     """Fit with an unknown; None where it does not settle.
 
     Parameters
     ----------
-    share : float
-        What the other places of its family add to its log odds.
     explained : bool
         Whether another unknown explains the data: sizes far from first order are not tried then.
     """
-    unknown, model = score.unknown, found.likelihood.model
-    if unknown.only is not None:
-        unknown = unknown.fixed(unknown.only)
+    own, model = score.unknown, found.likelihood.model
+    unknown = own if own.only is None else own.fixed(own.only)
     model = replace(model, unknowns=(*model.unknowns, unknown))
     place, size = found.at["extra"].stop, 1 + len(unknown.companions)
+    first = 0.0 if own.only is not None else max(score.value, 0.0) if own.positive else score.value
     best = None
-    first = max(score.value, 0.0) if unknown.positive else score.value
-    for value in (first if score.unknown.only is None else 0.0, *unknown.starts):
+    for value in (first, *unknown.starts):
         theta = np.insert(found.theta, place, [value, *np.zeros(size - 1)])
         if best is not None:
             if explained or best.explained:
@@ -183,22 +218,26 @@ def refit(found: Fit, score: Score, share: float = 0.0, explained: bool = False)
         best = tried if best is None or tried.chi2 < best.chi2 else best
     if best is None:
         return None
-    value = float(best.theta[place])
-    inverse = np.linalg.inv(best.likelihood.information(best.theta))
-    level = max(1.0, best.level)
-    posterior = inverse[place : place + size, place : place + size] * level / max(best.noise, 1.0)
+    value, level = float(best.theta[place]), max(1.0, best.level)
+    posterior = _rough_covariance(best)[place : place + size, place : place + size]
     sd = float(np.sqrt(posterior[0, 0]))
-    widths = np.log([unknown.sd, *(companion.sd for companion in unknown.companions)]).sum()
+    widths = np.log([part.sd for part in (unknown, *unknown.companions)]).sum()
     odds = 0.5 * (found.chi2 - best.chi2) / level + 0.5 * np.linalg.slogdet(posterior)[1] - widths
-    odds += np.log(unknown.chance) + share
+    odds += np.log(unknown.chance) + score.share
     if unknown.positive:
         odds += np.log(2.0) + float(log_ndtr(value / sd))
-    if score.unknown.only is not None:
-        value, sd = score.unknown.only, 0.0
-    return Alternative(unknown.name, unknown.title, unknown.unit, value, sd, float(odds), best, unknown)
+    if own.only is not None:
+        value, sd = own.only, 0.0
+    return Alternative(value, sd, float(odds), best, unknown)
 
 
-def other_laws(found: Fit) -> list[Alternative]:
+def _rough_covariance(found: Fit) -> Array:
+    """Return the covariance of theta where noise of the regressor is no matter."""
+    inverse = np.linalg.inv(found.likelihood.information(found.theta))
+    return np.asarray(inverse * max(1.0, found.level) / max(found.noise, 1.0))
+
+
+def _other_laws(found: Fit) -> list[Alternative]:
     """Refit under the damping laws that were not asked for; their exponents count as unknowns."""
     alternatives = []
     for name in LAWS:
@@ -206,10 +245,8 @@ def other_laws(found: Fit) -> list[Alternative]:
         if name == found.likelihood.model.law:
             continue
         likelihood = Likelihood(found.data, model, found.noise)
-        theta = np.concatenate(
-            [likelihood.mean[: likelihood.at["law"].stop], found.theta[found.at["law"].stop :]]
-        )
-        theta[: likelihood.at["entries"].stop] = found.theta[found.at["entries"]]
+        own = likelihood.mean[likelihood.at["law"]]
+        theta = np.concatenate([found.theta[found.at["entries"]], own, found.theta[found.at["law"].stop :]])
         try:
             theta, rough, _, _ = minimise(likelihood, start_of(likelihood, theta, 2), 1e-2, 8)
             if rough > _HOPELESS * found.chi2 / found.noise:
@@ -228,55 +265,7 @@ def law_alternative(found: Fit, other: Fit, chance: float = 1.0) -> Alternative:
     odds = 0.5 * (bic(found, level) - bic(other, level)) + np.log(chance)
     law, sd = other.law, 0.0
     if law.free:
-        inverse = np.linalg.inv(other.likelihood.information(other.theta))
-        sd = float(
-            np.sqrt(inverse[other.at["law"], other.at["law"]][0, 0] * max(1.0, other.level) / other.noise)
-        )
+        place = other.at["law"].start
+        sd = float(np.sqrt(_rough_covariance(other)[place, place]))
         sd = sd / other.data.reference if law.kind.is_time else sd
-    unit = "s" if law.kind.is_time else ""
-    return Alternative(f"law_{law.name}", f"{law.name} damping", unit, law.value, sd, float(odds), other)
-
-
-def _power(value: float, parts: Parts, data: Data) -> None:
-    parts.loss = parts.loss + value * parts.loss * np.log(1j * data.omega)
-
-
-def _relaxing(value: float, parts: Parts, data: Data) -> None:
-    parts.loss = parts.loss + value * data.omega**2
-
-
-_LAW_SCORES = (Unknown("law_power", "", "", 0.5, _power), Unknown("law_relaxation", "", "", 0.3, _relaxing))
-"""Damping of another power of the frequency, and one that relaxes, to first order."""
-
-
-def search(found: Fit, laws: bool = True) -> Search:
-    """Score every unknown and refit with the likeliest; in a misfit also with those that may be large.
-
-    Parameters
-    ----------
-    laws : bool
-        Whether other damping laws are among the causes: the law was stated and not compared.
-    """
-    present = {unknown.name for unknown in found.likelihood.model.unknowns}
-    table = [unknown for unknown in candidates(found.data) if unknown.name not in present]
-    listed = family_terms(screen(found, table))
-    misfit = not found.explained
-    by_law = laws and (misfit or screen(found, _LAW_SCORES)[0].log_odds > 0.0)
-    likely = [pair for pair in listed if pair[0].log_odds > _LEAST_ODDS][:_SHORTLIST]
-    large = (
-        [pair for pair in listed if pair not in likely and _may_be_large(pair[0].unknown)] if misfit else []
-    )
-    alternatives = other_laws(found) if by_law else []
-    for score, share in (*likely, *large):
-        explained = any(other.found.explained for other in alternatives)
-        if explained and (score, share) in large:
-            break
-        other = refit(found, score, share, explained)
-        alternatives += [] if other is None else [other]
-    alternatives.sort(key=lambda other: -other.log_odds)
-    return Search(tuple(score for score, _ in listed), tuple(alternatives))
-
-
-def _may_be_large(unknown: Unknown) -> bool:
-    """Return whether an unknown may be as large as the body itself: a linear test says little then."""
-    return bool(unknown.starts) or unknown.name in ("inertia", "mirrored")
+    return Alternative(law.value, sd, float(odds), other)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,26 +21,11 @@ from stapeskit.report.quantities import si_unit
 from stapeskit.spatial import dof_indices
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from fitting.result import KDFit
 
 
-def entry_table(fit: KDFit) -> DataFrame:
+def entry_columns(fit: KDFit) -> dict[str, Sequence[Any]]:
     """Return one row an entry of K and D: value, sd, limits and unit in columns of their own, SI."""
-    import pandas as pd
-
-    return pd.DataFrame(_entry_columns(fit))
-
-
-def entry_csv(fit: KDFit) -> str:
-    """Return the same as comma-separated text; pandas would take a tenth of the command to load."""
-    columns = _entry_columns(fit)
-    rows = zip(*columns.values(), strict=True)
-    return "".join(",".join(map(str, row)) + "\n" for row in (columns, *rows))
-
-
-def _entry_columns(fit: KDFit) -> dict[str, Sequence[Any]]:
     rows, columns = entries.upper(len(fit.dof))
     pairs = [(fit.dof[row], fit.dof[column]) for row, column in zip(rows, columns, strict=True)]
     return {
@@ -48,12 +33,18 @@ def _entry_columns(fit: KDFit) -> dict[str, Sequence[Any]]:
         "row": [row for row, _ in pairs] * 2,
         "column": [column for _, column in pairs] * 2,
         "value": fit.values.tolist(),
-        "sd": np.sqrt(np.diag(fit.covariance)).tolist(),
-        "noise_only_sd": np.sqrt(np.maximum(np.diag(fit.noise_covariance), 0.0)).tolist(),
+        "sd": fit.sd.tolist(),
+        "noise_only_sd": fit.noise_sd.tolist(),
         "lower_95": fit.intervals[:, 0].tolist(),
         "upper_95": fit.intervals[:, 1].tolist(),
         "unit": [si_unit(letter, *pair, fit.law.time_power) for letter in "KD" for pair in pairs],
     }
+
+
+def csv_of(columns: Mapping[str, Sequence[Any]]) -> str:
+    """Return columns as comma-separated text; pandas would take a tenth of the command to load."""
+    rows = zip(*columns.values(), strict=True)
+    return "".join(",".join(map(str, row)) + "\n" for row in (columns, *rows))
 
 
 def matlab(fit: KDFit) -> bytes:
@@ -99,7 +90,7 @@ def _two_nodes(fit: KDFit) -> Iterator[tuple[str, Array]]:
         wanted = "asked for with viscous or hysteretic damping"
         step = "Fit with --damping viscous or hysteretic, or use the export prior"
         raise StapeskitError.of("--export fe", wanted, fit.law.name, "", step)
-    places, inertia = dof_indices(fit.dof), fit.solution.inertia
+    places, inertia = dof_indices(fit.dof), fit.inertia
     between, on_first = np.array([[1.0, -1.0], [-1.0, 1.0]]), np.diag([1.0, 0.0])
     for letter, part, nodes in (
         ("K", fit.stiffness, between),
@@ -119,10 +110,8 @@ def ansys(fit: KDFit) -> str:
         if letter == "D" and fit.law.name == "hysteretic":
             lines.append("! D is structural: imaginary part of the stiffness (hysteretic); enter it as such")
         lines += [f"ET,{number},MATRIX27", f"KEYOPT,{number},3,{options[letter]}"]
-        values = full[np.triu_indices(12)]  # row by row of the upper triangle, 78 constants
-        for first in range(0, len(values), 6):
-            words = ",".join(f"{value:.9e}" for value in values[first : first + 6])
-            lines.append(f"R,{number},{words}" if first == 0 else f"RMORE,{words}")
+        first, *more = _in_rows(full[np.triu_indices(12)], 6)  # row by row of the upper triangle
+        lines += [f"R,{number},{first}", *(f"RMORE,{words}" for words in more)]
         lines += [f"TYPE,{number}", f"REAL,{number}", "E,1,2"]
     return "\n".join(lines) + "\n"
 
@@ -136,10 +125,15 @@ def abaqus(fit: KDFit) -> str:
     for letter, full in _two_nodes(fit):
         lines.append(f"*MATRIX, TYPE={names[letter]}")
         for row in range(12):  # lower triangle by rows, four numbers a line
-            words = [f"{value:.9e}" for value in full[row, : row + 1]]
-            lines += [", ".join(words[first : first + 4]) for first in range(0, len(words), 4)]
+            lines += _in_rows(full[row, : row + 1], 4)
     lines += ["*ELEMENT, TYPE=U1, ELSET=SUSPENSION", "1, 1, 2", "*UEL PROPERTY, ELSET=SUSPENSION"]
     return "\n".join(lines) + "\n"
+
+
+def _in_rows(values: Array, count: int) -> list[str]:
+    """Return numbers as lines of so many, with commas between them."""
+    words = [f"{value:.9e}" for value in values]
+    return [",".join(words[first : first + count]) for first in range(0, len(words), count)]
 
 
 def comsol(fit: KDFit) -> str:
@@ -167,7 +161,7 @@ def prior_json(fit: KDFit) -> str:
         "distribution": "normal",
         "damping_law": fit.law.formula,
         "parameters": list(fit.parameters),
-        "units": list(_entry_columns(fit)["unit"]),
+        "units": list(entry_columns(fit)["unit"]),
         "mean_si": fit.values.tolist(),
         "covariance_si": fit.covariance.tolist(),
         "ring": None
@@ -184,10 +178,11 @@ def prior_json(fit: KDFit) -> str:
 
 def prior_csv(fit: KDFit) -> str:
     """Return mean, unit and joint covariance, a row a parameter."""
-    table = entry_table(fit)[["entry", "value", "unit"]].rename(columns={"value": "mean"})
-    for place, name in enumerate(fit.parameters):
-        table[f"cov_{name}"] = fit.covariance[:, place]
-    return str(table.to_csv(index=False))
+    columns = entry_columns(fit)
+    table = {"entry": columns["entry"], "mean": columns["value"], "unit": columns["unit"]}
+    for name, column in zip(fit.parameters, fit.covariance.T.tolist(), strict=True):
+        table[f"cov_{name}"] = column
+    return csv_of(table)
 
 
 EXPORTS: dict[str, dict[str, Callable[[KDFit], str]]] = {
@@ -222,7 +217,7 @@ def write_into(
     names, stem = file_names(name, export), Path(name).stem
     texts = {f"{stem}{ending}": make(fit) for one in export for ending, make in EXPORTS[one].items()}
     texts[name] = json.dumps(fit.content(), indent=1) + "\n"
-    texts[f"{stem}.csv"] = entry_csv(fit)
+    texts[f"{stem}.csv"] = csv_of(entry_columns(fit))
     if report:
         from fitting.report.page import kd_page
 

@@ -1,7 +1,7 @@
 """Damping laws: the factor s(w) in the dynamic stiffness Z(w) = K + s(w) D, a table of a few lines each.
 
-A law has at most one unknown, an exponent or a relaxation time. A new law is one entry of `LAWS`; options,
-help, comparison, modes and reports follow from it.
+A law has at most one unknown, an exponent or a relaxation time. A new law is one entry of `LAWS`, its words
+one of `options.DAMPING`; help, comparison, modes and reports follow from them.
 """
 
 from __future__ import annotations
@@ -12,80 +12,44 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fitting.choices import DAMPING
+from fitting.options import DAMPING
 from stapeskit.arrays import ComplexArray
 
 
 @dataclass(frozen=True)
 class LawKind:
-    """One kind of damping.
+    """One kind of damping."""
 
-    Attributes
-    ----------
-    factor : callable
-        s of the angular frequency (lines,), or of -i lambda for an eigenvalue, and the unknown if there is
-        one.
-    formula : str
-        The dynamic stiffness as text, with {a} for the unknown.
-    meaning : str
-        For people.
-    usual, usual_sd : float
-        Expected unknown of scaled frequencies (mean 1) and its standard deviation; 0 where there is none.
-    time_power : float or None
-        Power of time in the unit of D; None: the unknown itself.
-    is_time : bool
-        Whether the unknown is a time.
-    includes : tuple of str
-        Simpler laws that it becomes at a value of its unknown.
-    """
-
+    # s of the angular frequency (lines,), or of -i lambda for an eigenvalue, and the unknown if there is one
     factor: Callable[..., ComplexArray]
-    formula: str
-    meaning: str
+    # expected unknown of scaled frequencies (mean 1) and its standard deviation; 0 where there is none
     usual: float = 0.0
+    # expected unknown of scaled frequencies (mean 1) and its standard deviation; 0 where there is none
     usual_sd: float = 0.0
-    time_power: float | None = 1.0
-    is_time: bool = False
-    includes: tuple[str, ...] = ()
+    time_power: float | None = 1.0  # power of time in the unit of D; None: the unknown itself
+    is_time: bool = False  # whether the unknown is a time
+    includes: tuple[str, ...] = ()  # simpler laws that it becomes at a value of its unknown
 
 
 LAWS: dict[str, LawKind] = {
-    "viscous": LawKind(lambda w: 1j * w, *DAMPING["viscous"]),
-    "hysteretic": LawKind(lambda w: np.full(np.shape(w), 1j), *DAMPING["hysteretic"], time_power=0.0),
+    "viscous": LawKind(lambda w: 1j * w),
+    "hysteretic": LawKind(lambda w: np.full(np.shape(w), 1j), time_power=0.0),
     "fractional": LawKind(
-        lambda w, a: (1j * w) ** a,
-        *DAMPING["fractional"],
-        usual=0.8,
-        usual_sd=0.5,
-        time_power=None,
-        includes=("viscous", "hysteretic"),
+        lambda w, a: (1j * w) ** a, 0.8, 0.5, time_power=None, includes=("viscous", "hysteretic")
     ),
     "relaxation": LawKind(
-        lambda w, a: 1j * w / (1.0 + 1j * w * a),
-        *DAMPING["relaxation"],
-        usual=0.3,
-        usual_sd=1.0,
-        is_time=True,
-        includes=("viscous",),
+        lambda w, a: 1j * w / (1.0 + 1j * w * a), 0.3, 1.0, is_time=True, includes=("viscous",)
     ),
 }
-"""By name."""
+"""By name; formulas and meanings are in `options.DAMPING`."""
 
 
 @dataclass(frozen=True)
 class Law:
-    """A damping law with its unknown, SI.
+    """A damping law with its unknown, SI."""
 
-    Attributes
-    ----------
-    name : str
-        Of `LAWS`.
-    value : float
-        The exponent, or the relaxation time (s); not used where the law has no unknown.
-    """
-
-    name: str = "viscous"
-    value: float = 0.0
+    name: str = "viscous"  # of `LAWS`
+    value: float = 0.0  # the exponent, or the relaxation time (s); not used where the law has no unknown
 
     @property
     def kind(self) -> LawKind:
@@ -110,7 +74,7 @@ class Law:
     @property
     def formula(self) -> str:
         """The dynamic stiffness as text."""
-        return self.kind.formula.format(a=self.value)
+        return DAMPING[self.name][0].format(a=self.value)
 
     def factor(self, omega: ArrayLike) -> ComplexArray:
         """Return s of angular frequencies, rad/s; complex ones continue it to eigenvalues i w."""

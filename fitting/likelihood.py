@@ -47,33 +47,16 @@ class Prior:
 
 @dataclass(frozen=True)
 class Model:
-    """What is fitted.
+    """What is fitted."""
 
-    Attributes
-    ----------
-    law : str
-        Damping law.
-    motion : str
-        One of PLAIN, LOAD, PLANE, INPLANE.
-    coupling : Prior or None
-        Of Y (9,), scaled, rows times columns; with PLANE and INPLANE.
-    unknowns : tuple of Unknown
-        Further ones; the companions of each follow it.
-    entries : Prior or None
-        Of the entries of K and D, scaled.
-    held : tuple of (int, float, float)
-        Places of parameters, values and sd to which they are held.
-    law_value : float or None
-        Scaled unknown of the law where it is fixed.
-    """
-
-    law: str = "viscous"
-    motion: str = PLAIN
-    coupling: Prior | None = None
-    unknowns: tuple[Unknown, ...] = ()
-    entries: Prior | None = None
+    law: str = "viscous"  # damping law
+    motion: str = PLAIN  # one of PLAIN, LOAD, PLANE, INPLANE
+    coupling: Prior | None = None  # of Y (9,), scaled, rows times columns; with PLANE and INPLANE
+    unknowns: tuple[Unknown, ...] = ()  # further ones; the companions of each follow it
+    entries: Prior | None = None  # of the entries of K and D, scaled
+    # places of parameters, values and sd to which they are held
     held: tuple[tuple[int, float, float], ...] = ()
-    law_value: float | None = None
+    law_value: float | None = None  # scaled unknown of the law where it is fixed
 
     @property
     def extras(self) -> tuple[Unknown, ...]:
@@ -192,25 +175,18 @@ class Likelihood:
         own = self.row_units.T @ self.row_units
         return np.asarray(own @ mass @ own)
 
-    def response(self, theta: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
-        """Return measured structure, base and simulated response (lines, n), and its slopes (lines, n, p).
+    def response(self, theta: Array) -> tuple[ComplexArray, ComplexArray]:
+        """Return the motion (lines, n) of the rows that solves the equations, and its slopes by K and D.
 
-        Simulated is the motion of the rows for the measured base motion and the load of other measured motion
-        (paper, Eq. 8), with the shared errors and factors at theta; slopes are those by K and D.
+        It is simulated for the measured base motion and the load of other measured motion (paper, Eq. 8);
+        slopes are (lines, n, p).
         """
-        data, parts, square = self.data, self.parts(theta), (self.data.omega**2)[:, None, None]
-        structure, base = self._moved(theta, data.y[:, :, None], parts)
-        rows = self.row_units
-        load = self.shapes(theta)[1] @ self._seen_mass(parts.mass)
-        other = load - load @ rows.T @ rows
-        dynamic = self._dynamic(theta, parts)
-        system = dynamic - square * (load @ rows.T)
-        simulated = np.linalg.solve(system, dynamic @ (rows @ base) + square * (other @ structure))
-        pull = basis(self.n) @ (rows @ base - simulated)[:, None]
-        pull = np.concatenate([pull, parts.loss[:, None, None, None] * pull], axis=1)
-        slopes = np.linalg.solve(system, pull[..., 0].swapaxes(1, 2))
-        measured: tuple[ComplexArray, ComplexArray] = (rows @ structure)[..., 0], (rows @ base)[..., 0]
-        return *measured, np.asarray(simulated[..., 0], dtype=complex), np.asarray(slopes, dtype=complex)
+        rows, y = self.data.rows, self.data.y.copy()
+        operator = self.act(theta, np.eye(y.shape[1], dtype=complex)[None])
+        system = operator[:, :, rows]
+        y[:, rows] -= np.linalg.solve(system, operator @ y[:, :, None])[:, :, 0]
+        pull = self.entry_slopes(theta, y[:, :, None])[..., 0].transpose(1, 2, 0)
+        return y[:, rows], np.asarray(-np.linalg.solve(system, pull))
 
     def look(self, theta: Array) -> tuple[ComplexArray, ...]:
         """Return white residuals (lines, n), what whitens, C B^H W^H, fitted motion; the last is kept."""

@@ -9,31 +9,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fitting.draws import unit_errors
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, list_some, raise_all
 from stapeskit.records.mass_matrix import MassMatrix
-from stapeskit.spatial import DOF_NAMES, inertia_faults, matrix_from_parameters
+from stapeskit.spatial import DOF_NAMES, inertia_faults
 
 _SMALLEST, _LARGEST = 1e-30, 1e6  # kg, kg m2: of no body that is measured here
 
 
 @dataclass(frozen=True)
 class Inertia:
-    """A mass matrix about the footplate centre in footplate axes.
+    """A mass matrix about the footplate centre in footplate axes."""
 
-    Attributes
-    ----------
-    dof : tuple of str, (k,)
-        Its degrees of freedom: those of the model, or all six.
-    matrix : ndarray, (k, k)
-        SI.
-    contributions : mapping of str to ndarray, (10, 10)
-        Covariance of its ten inertial parameters by source; only where it has all six degrees of freedom.
-    """
-
-    dof: tuple[str, ...]
-    matrix: Array
+    dof: tuple[str, ...]  # its degrees of freedom: those of the model, or all six
+    matrix: Array  # (k, k): SI
+    # (10, 10): covariance of its ten inertial parameters by source; only where it has all six degrees of
+    # freedom
     contributions: Mapping[str, Array] = field(default_factory=dict)
 
     @property
@@ -68,9 +59,8 @@ def inertia_of(mass: MassMatrix | ArrayLike, dof: tuple[str, ...]) -> Inertia:
                 "about footplate_centre in footplate axes",
                 "Take the block mass_matrix of mass.json",
             )
-            raise StapeskitError.of(
-                "the mass matrix", wanted, f"about {mass.about} in {mass.axes} axes", "", step
-            )
+            got = f"about {mass.about} in {mass.axes} axes"
+            raise StapeskitError.of("the mass matrix", wanted, got, "", step)
         return Inertia(DOF_NAMES, mass.matrix, mass.contributions)
     matrix = np.asarray(mass, dtype=float)
     if matrix.shape not in ((len(dof),) * 2, (6, 6)):
@@ -93,9 +83,9 @@ def check_mass(matrix: Array, where: str = "") -> None:
     if not np.all(np.isfinite(matrix)):
         raise StapeskitError.of(thing, "of finite numbers", "NaN or infinite values", where)
     if np.any((diagonal < _SMALLEST) | (diagonal > _LARGEST)):
-        got = f"{diagonal.min():g} to {diagonal.max():g}"
         wanted = f"within {_SMALLEST:g} and {_LARGEST:g} (kg, kg m2)"
-        raise StapeskitError.of("the diagonal of the mass matrix", wanted, got, where, "Check its units")
+        got = f"{diagonal.min():g} to {diagonal.max():g}"
+        raise StapeskitError.of(f"the diagonal of {thing}", wanted, got, where, "Check its units")
     scaled = matrix / np.sqrt(np.outer(diagonal, diagonal))
     if np.max(np.abs(scaled - scaled.T)) > 1e-6:
         step = "Check the order of its rows"
@@ -134,22 +124,14 @@ def read_mass_csv(path: Path, dof: tuple[str, ...]) -> Array:
     """
     path = Path(path)
     rows = _cells(path)
-    first = [cell.lower() for cell in rows[0][1] if cell] if rows else []
-    names = tuple(first) if set(first) <= set(DOF_NAMES) else ()
-    if names:
-        rows = rows[1:]
-        if all(cells[0].isalpha() for _, cells in rows):
-            beside = tuple(cells[0].lower() for _, cells in rows)
-            if beside != names:
-                thing, wanted = (
-                    "the first column of M.csv",
-                    f"in the order of its first row ({', '.join(names)})",
-                )
-                raise StapeskitError.of(thing, wanted, list_some(beside, 6), path.name)
-            rows = [(line, cells[1:]) for line, cells in rows]
-        if not set(dof) <= set(names):
-            wanted = f"of the degrees of freedom {','.join(dof)}"
-            raise StapeskitError.of("M.csv", wanted, ",".join(names), path.name, "Give a larger M, or --dof")
+    names = tuple(cell.lower() for cell in rows[0][1] if cell) if rows else ()
+    if not names or not set(names) <= set(DOF_NAMES):
+        names = ()
+    elif not set(dof) <= set(names):
+        wanted = f"of the degrees of freedom {','.join(dof)}"
+        raise StapeskitError.of("M.csv", wanted, ",".join(names), path.name, "Give a larger M, or --dof")
+    else:
+        rows = _without_names(rows[1:], names, path.name)
     faults = list[Fault]()
     values = [_numbers(cells, path.name, line, faults) for line, cells in rows]
     raise_all(faults)
@@ -166,6 +148,19 @@ def read_mass_csv(path: Path, dof: tuple[str, ...]) -> Array:
         matrix = matrix[np.ix_(places, places)]
     check_mass(matrix, path.name)
     return matrix
+
+
+def _without_names(
+    rows: list[tuple[int, list[str]]], names: tuple[str, ...], file: str
+) -> list[tuple[int, list[str]]]:
+    """Return rows without the first column of names of degrees of freedom, where there is one."""
+    if not all(cells[0].isalpha() for _, cells in rows):
+        return rows
+    beside = tuple(cells[0].lower() for _, cells in rows)
+    if beside != names:
+        wanted = f"in the order of its first row ({', '.join(names)})"
+        raise StapeskitError.of("the first column of M.csv", wanted, list_some(beside, 6), file)
+    return [(line, cells[1:]) for line, cells in rows]
 
 
 def _cells(path: Path) -> list[tuple[int, list[str]]]:
@@ -190,25 +185,12 @@ def _cells(path: Path) -> list[tuple[int, list[str]]]:
 
 def _numbers(cells: list[str], file: str, line: int, faults: list[Fault]) -> list[float]:
     """Return the numbers of a row, and add the faults of its cells."""
-    numbers = []
+    numbers, wanted = list[float](), "numbers separated by commas"
+    step = "Write SI numbers with decimal points and commas between them, or name degrees of freedom"
     for column, cell in enumerate(cells, 1):
         try:
             numbers.append(float(cell))
         except ValueError:
-            shown, where = (
-                f'"{cell[:40]}"' if cell else "an empty cell",
-                Place(file, "row", (line,), f"column {column}"),
-            )
-            step = "Write SI numbers with decimal points and commas between them, or name degrees of freedom"
-            faults.append(Fault("M.csv", "numbers separated by commas", shown, where, step))
+            shown, where = cell and f'"{cell[:40]}"', Place(file, "row", (line,), f"column {column}")
+            faults.append(Fault("M.csv", wanted, shown or "an empty cell", where, step))
     return numbers
-
-
-def parameter_changes(contributions: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the changes (k, 6, 6) of a mass matrix by errors of unit variance, by source."""
-    errors = {source: unit_errors(np.asarray(part)) for source, part in contributions.items()}
-    return {
-        source: np.stack([matrix_from_parameters(error) for error in rows])
-        for source, rows in errors.items()
-        if len(rows)
-    }

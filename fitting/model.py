@@ -1,4 +1,4 @@
-"""The model: dynamic stiffness, frequency response (paper, Eq. 8), modes, stability, passivity.
+"""The model: dynamic stiffness, frequency response (paper, Eq. 8), modes, principal axes, passivity.
 
 Harmonic signals are e^{+i w t}. Matrices are SI; the length of the modes' shapes is stated by NORMALISATION.
 """
@@ -13,6 +13,7 @@ from scipy.linalg import eigh
 
 from fitting.laws import VISCOUS, Law
 from stapeskit.arrays import Array, ComplexArray
+from stapeskit.faults import StapeskitError
 
 NORMALISATION = (
     "unit Euclidean norm of the state eigenvector (q, lambda q) in SI; phase such that the component of "
@@ -24,17 +25,10 @@ _MOST_STEPS = 60  # of the iteration for one pole of a law that is not viscous
 
 @dataclass(frozen=True)
 class Mode:
-    """One conjugate pair of eigenvalues.
+    """One conjugate pair of eigenvalues."""
 
-    Attributes
-    ----------
-    eigenvalue : complex
-        The one with positive imaginary part, 1/s.
-    shape : ndarray, (n,), complex
-        Displacement part of the eigenvector, m and rad, normalised as NORMALISATION says.
-    """
-
-    eigenvalue: complex
+    eigenvalue: complex  # the one with positive imaginary part, 1/s
+    # (n,) complex: displacement part of the eigenvector, m and rad, normalised as NORMALISATION says
     shape: ComplexArray
 
     @property
@@ -55,21 +49,12 @@ class Mode:
 
 @dataclass(frozen=True)
 class Modes:
-    """Eigenvalues of a model.
+    """Eigenvalues of a model."""
 
-    Attributes
-    ----------
-    pairs : tuple of Mode
-        One per conjugate pair, ascending damped frequency.
-    overdamped_roots_1_s : tuple of float
-        Real eigenvalues, ascending.
-    max_real_1_s : float
-        Largest real part; not above 0 where K and D are positive semidefinite and rounding alone could make
-        it so.
-    """
-
-    pairs: tuple[Mode, ...]
-    overdamped_roots_1_s: tuple[float, ...]
+    pairs: tuple[Mode, ...]  # one per conjugate pair, ascending damped frequency
+    overdamped_roots_1_s: tuple[float, ...]  # real eigenvalues, ascending
+    # largest real part; not above 0 where K and D are positive semidefinite and rounding alone could make it
+    # so
     max_real_1_s: float
 
     @property
@@ -228,3 +213,33 @@ def _normalised(shape: ComplexArray, eigenvalue: complex, mass: Array) -> Comple
     norm = np.linalg.norm(shape) * np.sqrt(1.0 + abs(eigenvalue) ** 2)
     leading = shape[int(np.argmax(np.abs(shape) * np.sqrt(np.diag(mass))))]
     return np.asarray(shape / norm * (abs(leading) / leading), dtype=complex)
+
+
+def principal_axes(stiffness: ArrayLike) -> Array:
+    """Return the principal axes (..., 6) of K (..., 3, 3) in y, alpha, gamma: x0, z0, angle, stiffnesses; SI.
+
+    The reference point in the footplate plane (x0, z0) = (K13 / K11, -K12 / K11) uncouples the piston motion,
+    a rotation about y then the two rocking motions (paper, section on principal axes). This is not eig(K),
+    whose result depends on the units.
+
+    The angle is right-handed about +y, from footplate x to the nearest principal axis, within 45 degrees;
+    with q = (y0, alpha, gamma) the point (x, z) moves by y0 - z alpha + x gamma, and the axis at the angle t
+    is (cos t, -sin t) in (x, z).
+
+    Raises
+    ------
+    StapeskitError
+        A matrix is not 3x3 or its K11 is not positive.
+    """
+    k = np.asarray(stiffness, dtype=float)
+    if k.shape[-2:] != (3, 3) or not np.all(k[..., 0, 0] > 0.0):
+        thing = "the stiffness for principal axes"
+        raise StapeskitError.of(thing, "3x3 in y, alpha, gamma with K11 > 0", k.tolist())
+    piston = k[..., 0, 0]
+    rocking = k[..., 1:, 1:] - k[..., 0, 1:, None] * k[..., 0, None, 1:] / piston[..., None, None]
+    angle = -0.5 * np.arctan2(2.0 * rocking[..., 0, 1], rocking[..., 0, 0] - rocking[..., 1, 1])
+    angle = angle - np.where(np.abs(angle) > 0.25 * np.pi, np.sign(angle) * 0.5 * np.pi, 0.0)
+    axis = np.stack([np.cos(angle), -np.sin(angle)], axis=-1)
+    other = np.stack([np.sin(angle), np.cos(angle)], axis=-1)
+    along = [np.einsum("...i,...ij,...j->...", one, rocking, one) for one in (axis, other)]
+    return np.stack([k[..., 0, 2] / piston, -k[..., 0, 1] / piston, angle, piston, *along], axis=-1)

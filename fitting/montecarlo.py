@@ -21,15 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Scatter:
-    """Scatter of refits about the truth of each repetition.
-
-    Attributes
-    ----------
-    errors : ndarray, (refits, p)
-        Estimate less truth of K11, K12, ..., Dnn; SI.
-    failed : int
-        Repetitions without a finite estimate, left out.
-    """
+    """Errors (refits, p) of K11, K12, ..., Dnn, SI, and how many refits failed and were left out."""
 
     errors: Array
     failed: int

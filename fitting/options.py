@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from fitting.choices import DAMPING, MASS_SIGNS, UNKNOWNS
 from stapeskit.faults import Fault, raise_all
 from stapeskit.option_types import (
     CountOrZero,
@@ -26,18 +25,28 @@ from stapeskit.option_types import (
 )
 from stapeskit.options import Opt, Options, Rule
 
+DAMPING = {
+    "viscous": ("K + i w D", "force proportional to velocity"),
+    "hysteretic": ("K + i D", "constant loss factor"),
+    "fractional": ("K + (i w)^{a:.4g} D", "spring-pot, its exponent estimated"),
+    "relaxation": ("K + i w D / (1 + i w {a:.3g} s)", "standard linear solid, its time estimated"),
+}
+"""Formula, with {a} for an unknown, and meaning of each law of `laws.LAWS`."""
+
+UNKNOWN_NAMES = (
+    *("delay", "phase", "gain", "fluid", "head_mass", "centre_x", "centre_y", "centre_z", "inertia"),
+    *("mirrored", "drift", "level"),
+)
+"""Names of the entries of `unknowns.UNKNOWNS`, which a user may free or fix."""
+
 COMPARE = "compare"
 LOADED, IGNORE = "load", "ignore"
 
 JsonFile = Annotated[Path, output_file(".json")]
 
 _BOUNDED = "estimator constrained"
-_UNKNOWN_NAMES = ", ".join(UNKNOWNS)
-
-
-def _law_help() -> str:
-    laws = DAMPING.items()
-    return "; ".join(f"{name}: {formula.format(a=0.5)}, {meaning}" for name, (formula, meaning) in laws)
+_NAMES = ", ".join(UNKNOWN_NAMES)
+_LAW_HELP = "; ".join(f"{name}: {form.format(a=0.5)}, {meaning}" for name, (form, meaning) in DAMPING.items())
 
 
 class KDOptions(Options):
@@ -48,6 +57,10 @@ class KDOptions(Options):
         Rule(
             lambda v: v.robust != "none" and v.estimator != "ml",
             Fault("--robust", "none unless --estimator is ml", "t4", "", "Leave one of the two out"),
+        ),
+        Rule(
+            lambda v: v.estimator != "ml" and v.damping not in ("viscous", "hysteretic"),
+            Fault("--damping", "viscous or hysteretic unless --estimator is ml", "another", "", "Use ml"),
         ),
         Rule(
             lambda v: (v.lower or v.upper) and v.estimator != "constrained",
@@ -82,7 +95,7 @@ class KDOptions(Options):
     damping: Annotated[
         str,
         one_of((*DAMPING, COMPARE)),
-        Opt(f"damping law; {_law_help()}; compare: all of them"),
+        Opt(f"damping law; {_LAW_HELP}; compare: all of them"),
     ] = "viscous"
     inplane: Annotated[
         Literal["auto", "load", "ignore"],
@@ -95,7 +108,7 @@ class KDOptions(Options):
     unknowns: Annotated[
         Words,
         Opt(
-            f"what is estimated with K and D whatever the data say, out of {_UNKNOWN_NAMES}; name=VALUE "
+            f"what is estimated with K and D whatever the data say, out of {_NAMES}; name=VALUE "
             "fixes one; none: nothing is added by evidence",
             example=["fluid"],
         ),
@@ -107,9 +120,8 @@ class KDOptions(Options):
     mass_sign: Annotated[
         Literal["assumed", "tensor", "positive"],
         Opt(
-            "mixed rotational entries of a plain M.csv; "
-            + "; ".join(f"{name}: {words}" for name, words in MASS_SIGNS.items())
-            + "; assumed: tensor, with a warning"
+            "mixed rotational entries of a plain M.csv; tensor: elements of the inertia tensor; positive: "
+            "products of inertia, + integral x z dm; assumed: tensor, with a warning"
         ),
     ] = "assumed"
     monte_carlo: Annotated[
@@ -151,8 +163,8 @@ class KDOptions(Options):
         faults = []
         for given in self.unknowns:
             name, _, value = given.partition("=")
-            if name.strip() not in (*UNKNOWNS, "none") or (value and name == "none"):
-                faults.append(Fault("--unknowns", f"names out of {_UNKNOWN_NAMES}, or none", given))
+            if name.strip() not in (*UNKNOWN_NAMES, "none") or (value and name == "none"):
+                faults.append(Fault("--unknowns", f"names out of {_NAMES}, or none", given))
             elif value and not _is_number(value):
                 faults.append(Fault(f"--unknowns {name}", "a number behind the sign =", value))
         return faults

@@ -7,24 +7,22 @@ fit the real one; what that fit states is what the plan promises.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
 from fitting.dof2kd import MassSource, fit_of, mass_source
-from fitting.entries import sizes
 from fitting.options import KDOptions
 from fitting.plane import PISTON_DOF
 from fitting.planned_motion import BASE_POINTS_MM, STAPES_POINTS_MM, Layout, cone_beams, planned_motion
 from fitting.report.kd_json import RELATIVE
 from fitting.result import KDFit
 from stapeskit.arrays import Array
-from stapeskit.option_types import Count, DofList, Kind, Positive, Range, number_where
+from stapeskit.option_types import Count, DofList, Kind, Positive, Range, number_where, path
 from stapeskit.options import Opt, Options, read_toml
 from stapeskit.records.mass_matrix import MassMatrix
-from stapeskit.spatial import parameters_from_matrix
 
 if TYPE_CHECKING:
     from stapeskit.report.page import Page
@@ -39,38 +37,37 @@ PAPER_DAMPING = (
 
 _STAPES = (3.2e-6, 1.43e-10, 4.16e-9, 4.349e-10, 9.77e-12, 2.2e-12, 1.07e-11, -3.0e-13, 8.0e-14, -3.0e-14)
 # Ten inertial parameters of a human stapes whose centre of mass is 1.3 mm above the footplate.
+_WEAK = 0.1  # relative sd of an entry that a plan leaves weak
 
 
-def _rows(value: Any, good: Callable[[Array], bool]) -> Array:
-    table = np.array(value, dtype=float)
-    if table.ndim != 2 or not np.all(np.isfinite(table)) or not good(table):
-        raise ValueError
-    return table
+def _rows(good: Callable[[Array], bool], wanted: str, name: str) -> Kind:
+    """Return the kind of a table of numbers that must be good."""
+
+    def read(value: Any) -> Array:
+        table = np.array(value, dtype=float)
+        if table.ndim != 2 or not np.all(np.isfinite(table)) or not good(table):
+            raise ValueError
+        return table
+
+    return Kind(read, wanted, name, "Write rows in brackets, [[1, 2], [3, 4]]")
 
 
-def _is_stiffness(matrix: Array, size: int = 3) -> bool:
+def _is_stiffness(matrix: Array) -> bool:
     """Return whether a matrix whose entries have different units is symmetric and positive definite."""
     diagonal = np.diag(matrix)
-    if matrix.shape != (size, size) or np.any(diagonal <= 0.0):
+    if matrix.shape != (3, 3) or np.any(diagonal <= 0.0):
         return False
     scaled = matrix / np.sqrt(np.outer(diagonal, diagonal))
     return np.allclose(scaled, scaled.T, atol=1e-6) and bool(np.linalg.eigvalsh(scaled)[0] > 1e-9)
 
 
-def _mass(value: Any) -> Any:
-    return Path(value) if isinstance(value, str | Path) else _rows(value, lambda m: _is_stiffness(m, 6))
-
-
-_IN_ROWS = "Write rows in brackets, [[1, 2], [3, 4]]"
 _MATRIX = "a symmetric, positive definite 3 x 3 matrix in SI: y, alpha, gamma"
 _POINTS = "three or more points [x, y, z] in mm, footplate axes, not on one line"
-_MASS = "a mass.json, or a symmetric, positive definite 6 x 6 matrix in SI"
-Matrix = Annotated[Any, Kind(lambda value: _rows(value, _is_stiffness), _MATRIX, "MATRIX", _IN_ROWS)]
-Points = Annotated[
-    Any,
-    Kind(lambda value: _rows(value, lambda table: Layout(table).determines), _POINTS, "POINTS", _IN_ROWS),
+Matrix = Annotated[Any, _rows(_is_stiffness, _MATRIX, "MATRIX")]
+Points = Annotated[Any, _rows(lambda table: Layout(table).determines, _POINTS, "POINTS")]
+Mass = Annotated[
+    Path, Kind(path, "the name of a mass.json, or of an M.csv of all degrees of freedom", "FILE")
 ]
-Mass = Annotated[Any, Kind(_mass, _MASS, "MASS", _IN_ROWS)]
 Sd = Annotated[float, Kind(number_where(lambda value: value >= 0.0), "a number, 0 or positive", "NUMBER")]
 Cone = Annotated[
     float, Kind(number_where(lambda value: 1.0 <= value <= 60.0), "degrees between 1 and 60", "DEG")
@@ -89,7 +86,7 @@ class Plan(Options):
     noise_m_s: Annotated[Positive, Opt("sd of Re and Im of a reading")] = 2e-5
     base_velocity_m_s: Annotated[Positive, Opt("along the driven direction")] = 6e-4
     rocking: Annotated[Sd, Opt("of the base in the other directions, rotations at 1 mm")] = 0.05
-    mass: Annotated[Mass | None, Opt("mass.json or matrix", example="mass.json")] = None
+    mass: Annotated[Mass | None, Opt("mass.json or M.csv", example="mass.json")] = None
     stiffness: Annotated[Matrix, Opt("expected K")] = PAPER_STIFFNESS
     damping: Annotated[Matrix, Opt("expected D, viscous")] = PAPER_DAMPING
     structure_points_mm: Annotated[Points, Opt("points on the stapes")] = STAPES_POINTS_MM
@@ -111,32 +108,6 @@ class Plan(Options):
         return Layout(structure, beams), Layout(base, beams)
 
 
-@dataclass(frozen=True)
-class Way:
-    """A way to measure, and what its fit would state.
-
-    Attributes
-    ----------
-    name : str
-        What differs from the plan; ``as planned`` for the plan itself.
-    """
-
-    name: str
-    fit: KDFit
-
-    @property
-    def relative(self) -> Array:
-        """Expected sd of every entry over sqrt(Xii Xjj)."""
-        return np.sqrt(np.diag(self.fit.covariance)) / sizes(self.fit.stiffness, self.fit.damping)
-
-    @property
-    def weak(self) -> tuple[str, ...]:
-        """Entries with an expected sd over 10 %."""
-        return tuple(
-            name for name, value in zip(self.fit.parameters, self.relative, strict=True) if value > 0.1
-        )
-
-
 def read_plan(path: Path) -> tuple[Plan, MassSource | None]:
     """Read a plan.toml, and the mass that it names.
 
@@ -147,20 +118,20 @@ def read_plan(path: Path) -> tuple[Plan, MassSource | None]:
     """
     keys = {entry.key: entry.key for entry in Plan.entries()}
     plan = Plan.read(read_toml(path), path.name, keys, path.parent)
-    if not isinstance(plan.mass, Path):
+    if plan.mass is None:
         return plan, None
     return plan, mass_source(path.parent / plan.mass, KDOptions.of(dof="all"))
 
 
 def stated_mass(plan: Plan) -> MassSource:
-    """Return the mass of a plan with the stated error of its density."""
-    parameters = np.array(_STAPES) if plan.mass is None else parameters_from_matrix(np.asarray(plan.mass))
+    """Return the mass of a human stapes with the stated error of its density."""
+    parameters = np.array(_STAPES)
     density = {"density": (0.01 * plan.mass_sd_percent) ** 2 * np.outer(parameters, parameters)}
     return MassSource(MassMatrix(parameters, contributions=density if plan.mass_sd_percent else {}))
 
 
-def expect(plan: Plan, mass: MassSource | None = None) -> tuple[Way, ...]:
-    """Return what the plan, and the plan with one change each, would state: the plan first.
+def expect(plan: Plan, mass: MassSource | None = None) -> dict[str, KDFit]:
+    """Return what the plan, and the plan with one change each, would state: ``as planned`` first.
 
     Parameters
     ----------
@@ -173,23 +144,23 @@ def expect(plan: Plan, mass: MassSource | None = None) -> tuple[Way, ...]:
         Mass, stiffness and degrees of freedom do not fit together, or the lines are too few.
     """
     options = KDOptions.of(dof=plan.dof, unknowns="none")
-    ways = []
-    for name, changed in _ways(plan, mass):
+    fits = {}
+    for name, changed in _ways(plan, mass).items():
         source = mass or stated_mass(changed)
         matrix = source.mass.matrix if isinstance(source.mass, MassMatrix) else source.mass
-        ways.append(Way(name, fit_of(planned_motion(changed, matrix), source, options, {})))
-    return tuple(ways)
+        fits[name] = fit_of(planned_motion(changed, matrix), source, options, {})
+    return fits
 
 
-def _ways(plan: Plan, mass: MassSource | None) -> list[tuple[str, Plan]]:
+def _ways(plan: Plan, mass: MassSource | None) -> dict[str, Plan]:
     """Return the plan and its improvements, one change each."""
     low, high = plan.band_hz
     lines = round((2.0 * high - low) / (high - low) * max(plan.lines - 1, 1)) + 1
-    changes: dict[str, dict[str, Any]] = {"as planned": {}}
+    ways = {"as planned": plan}
     more = next((name for name in ("x", "z", "alpha", "gamma", "y") if name not in plan.directions), None)
     if more:
-        changes[f"one more run, driven along {more}"] = {"directions": (*plan.directions, more)}
-    changes[f"band up to {2.0 * high:g} Hz"] = {"band_hz": (low, 2.0 * high), "lines": lines}
+        ways[f"one more run, driven along {more}"] = replace(plan, directions=(*plan.directions, more))
+    ways[f"band up to {2.0 * high:g} Hz"] = replace(plan, band_hz=(low, 2.0 * high), lines=lines)
     for words, keys in (
         ("half the noise (4 times the averages)", ("noise_m_s",)),
         ("points known twice as well", ("position_sd_mm",)),
@@ -197,15 +168,20 @@ def _ways(plan: Plan, mass: MassSource | None) -> list[tuple[str, Plan]]:
         ("lasers calibrated twice as well", ("gain_sd_percent", "phase_sd_deg", "delay_sd_us")),
         ("density known twice as well", () if mass else ("mass_sd_percent",)),
     ):
-        halves = {key: getattr(plan, key) / 2.0 for key in keys if getattr(plan, key)}
-        if halves:
-            changes[words] = halves
-    return [(name, replace(plan, **change)) for name, change in changes.items()]
+        if any(getattr(plan, key) for key in keys):
+            ways[words] = replace(plan, **{key: getattr(plan, key) / 2.0 for key in keys})
+    return ways
 
 
-def plan_json(plan: Plan, ways: tuple[Way, ...], provenance: Mapping[str, Any]) -> dict[str, Any]:
+def weak_entries(fit: KDFit) -> tuple[str, ...]:
+    """Return the entries with an expected sd over 10 % of sqrt(Xii Xjj)."""
+    named = zip(fit.parameters, fit.relative_sd, strict=True)
+    return tuple(name for name, value in named if value > _WEAK)
+
+
+def plan_json(plan: Plan, fits: Mapping[str, KDFit], provenance: Mapping[str, Any]) -> dict[str, Any]:
     """Return an expectation as JSON-able data, SI: what the fit would state under the names of kd.json."""
-    fitted = ways[0].fit.content()
+    fitted = next(iter(fits.values())).content()
     same = ("dof", "about", "axes", "stiffness_si", "damping_si", "noise_only_sd_si", "budget")
     expected = ("stiffness_sd_si", "damping_sd_si")
     of_modes = ("frequency_hz", "frequency_sd_hz", "damping_ratio", "damping_ratio_sd")
@@ -223,44 +199,49 @@ def plan_json(plan: Plan, ways: tuple[Way, ...], provenance: Mapping[str, Any]) 
         "relative_to": RELATIVE,
         "options": [
             {
-                "name": way.name,
-                "entries_over_10_percent": list(way.weak),
-                "relative_sd": dict(zip(way.fit.parameters, way.relative.tolist(), strict=True)),
+                "name": name,
+                "entries_over_10_percent": list(weak_entries(fit)),
+                "relative_sd": dict(zip(fit.parameters, fit.relative_sd.tolist(), strict=True)),
             }
-            for way in ways
+            for name, fit in fits.items()
         ],
         "warnings": [],
         "provenance": dict(provenance),
     }
 
 
-def plan_rows(ways: tuple[Way, ...]) -> list[tuple[str, str]]:
+def plan_rows(fits: Mapping[str, KDFit]) -> list[tuple[str, str]]:
     """Return the rows of the command's table: K, D, modes, and what each change would bring."""
-    fit = ways[0].fit
-    rows = [row for row in fit.summary() if row[0].startswith(("K(", "D(", "mode "))]
-    for way in ways:
-        worst = int(np.argmax(way.relative))
-        text = f"worst entry {fit.parameters[worst]} {100.0 * way.relative[worst]:.2g} %"
-        rows.append((way.name, f"{text}; {len(way.weak)} of {len(fit.parameters)} entries over 10 %"))
+    planned = next(iter(fits.values()))
+    rows = [row for row in planned.summary() if row[0].startswith(("K(", "D(", "mode "))]
+    for name, fit in fits.items():
+        worst = int(np.argmax(fit.relative_sd))
+        text = f"worst entry {fit.parameters[worst]} {100.0 * fit.relative_sd[worst]:.2g} %"
+        count = len(weak_entries(fit))
+        rows.append((name, f"{text}; {count} of {len(fit.parameters)} entries over 10 %"))
     return rows
 
 
-def plan_page(plan: Plan, ways: tuple[Way, ...], provenance: Mapping[str, Any]) -> Page:
+def plan_page(plan: Plan, fits: Mapping[str, KDFit], provenance: Mapping[str, Any]) -> Page:
     """Return plan.html: what a plan reaches, what limits it, and what a change would bring."""
     from fitting.report.page import budget_blocks, matrices
     from stapeskit.report import page
 
-    fit, band = ways[0].fit, "{:g} to {:g} Hz".format(*plan.band_hz)
+    planned, band = next(iter(fits.values())), "{:g} to {:g} Hz".format(*plan.band_hz)
     lead = f"{plan.lines} lines of {band}, driven along {', '.join(plan.directions)}."
     made = page.Page("What a planned measurement can reach", lead)
-    made.add(page.table(("", ""), plan_rows(ways), words=True), *matrices(fit))
+    made.add(page.table(("", ""), plan_rows(fits), words=True), *matrices(planned))
     rows = [
-        (way.name, *(f"{100.0 * value:.2g} %" for value in way.relative), ", ".join(way.weak) or "none")
-        for way in ways
+        (
+            name,
+            *(f"{100.0 * value:.2g} %" for value in fit.relative_sd),
+            ", ".join(weak_entries(fit)) or "none",
+        )
+        for name, fit in fits.items()
     ]
     caption = "Expected sd relative to sqrt(Xii Xjj)."
-    table = page.table(("", *fit.parameters, "over 10 %"), rows, caption)
+    table = page.table(("", *planned.parameters, "over 10 %"), rows, caption)
     made.section("What a change would bring", table)
-    made.section("What limits the entries", *budget_blocks(fit))
+    made.section("What limits the entries", *budget_blocks(planned))
     made.appendix_section("Inputs", page.inputs(dict(provenance)))
     return made

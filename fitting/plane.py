@@ -8,11 +8,13 @@ z and beta give Z_cc, and K = K' + Y K_cc Y^T follows by draws, since the height
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import tomllib
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 
-from fitting.calibrated import calibrated
 from fitting.data import Data
 from fitting.draws import root_of, standard_draws
 from fitting.entries import diagonal, split, vector
@@ -27,6 +29,13 @@ _MM = 1e-3
 _INFORMED = 0.9  # sd over that before, from which on a stiffness counts as told
 
 
+@cache
+def _calibrated() -> dict[str, float]:
+    """Return the numbers of the ligament that were calibrated on simulated ears, by name."""
+    table = tomllib.loads(Path(__file__).with_name("calibrated.toml").read_text(encoding="utf-8"))
+    return {name: float(entry["value"]) for name, entry in table["ligament"].items()}
+
+
 def applies(data: Data) -> bool:
     """Return whether the plane of the ligament can be estimated: motion and mass have six degrees."""
     return data.dof == PISTON_DOF and data.measured == DOF_NAMES and data.mass_known == DOF_NAMES
@@ -39,10 +48,9 @@ def coupling_scale(data: Data) -> Array:
 
 def coupling_prior(data: Data) -> Prior:
     """Return what is known of Y: a plane at .15 +- .15 mm, tilted by 3 degrees, of an uneven ring."""
-    height, spread = calibrated("ligament.height_mm"), calibrated("ligament.height_sd_mm")
-    apart = calibrated("ligament.height_difference_sd_mm")
-    tilt, turned = calibrated("ligament.tilt_sd"), calibrated("ligament.torsion_sd")
-    second = calibrated("ligament.second_order_sd")
+    known = _calibrated()
+    height, spread, apart = (known[f"height{name}_mm"] for name in ("", "_sd", "_difference_sd"))
+    tilt, turned, second = (known[f"{name}_sd"] for name in ("tilt", "torsion", "second_order"))
     mean = np.array([[0.0, 0.0, 0.0], [0.0, height, 0.0], [-height, 0.0, 0.0]])
     sd = np.array([[tilt, tilt, second], [second, spread, turned], [spread, second, turned]])
     covariance = np.diag(sd.ravel() ** 2)
@@ -61,24 +69,14 @@ def plane_model(data: Data, law: str = "viscous", **more: object) -> Model:
 
 @dataclass(frozen=True)
 class InPlane:
-    """Stiffness and damping in the plane of the ligament (x, z, beta), about its centre.
+    """Stiffness and damping in the plane of the ligament (x, z, beta), about its centre."""
 
-    Attributes
-    ----------
-    entries : ndarray, (12,)
-        Of K_cc and D_cc, SI.
-    covariance : ndarray, (12, 12)
-    determined : bool
-        Whether the in-plane equations fit and tell the stiffness along x and z; of what they do not tell, the
-        usual ratio to the piston's is given.
-    p_value : float or None
-        Of their chi2.
-    """
-
-    entries: Array
-    covariance: Array
+    entries: Array  # (12,): of K_cc and D_cc, SI
+    covariance: Array  # (12, 12)
+    # whether the in-plane equations fit and tell the stiffness along x and z; of what they do not tell, the
+    # usual ratio to the piston's is given
     determined: bool
-    p_value: float | None
+    p_value: float | None  # of their chi2
 
 
 def in_plane(found: Fit) -> InPlane:
@@ -88,41 +86,39 @@ def in_plane(found: Fit) -> InPlane:
     """
     from scipy.special import chdtrc
 
-    data, at = found.data, found.at
+    data, at, p_value = found.data, found.at, None
     parts = found.likelihood.parts(found.theta)
     lines = data.corrected(found.theta[at["shared"]], (parts.structure, parts.base), parts.mass)
-    coupling = Prior(found.theta[at["coupling"]], found.covariance[at["coupling"], at["coupling"]])
-    law = found.theta[at["law"]]
-    value = float(law[0]) if len(law) else None
-    model = Model(found.likelihood.model.law, INPLANE, coupling, law_value=value)
-    scale = entry_scale(found, data.columns)
-    usual = _usual(
-        found, calibrated("ligament.inplane_stiffness"), calibrated("ligament.inplane_stiffness_sd")
-    )
+    scale, usual = entry_scale(found, data.columns), _usual(found, "stiffness")
     weak = Prior(usual.mean / scale, usual.covariance / np.outer(scale, scale))
-    model = replace(model, entries=weak)
+    model = Model(
+        found.likelihood.model.law,
+        INPLANE,
+        Prior(found.theta[at["coupling"]], found.covariance[at["coupling"], at["coupling"]]),
+        entries=weak,
+        law_value=next(iter(found.theta[at["law"]].tolist()), None),
+    )
     likelihood = Likelihood(lines, model, weights=found.weights)
-    p_value = None
     for share in (None, 1.0, 0.3):
-        start = likelihood.mean.copy()
+        theta = likelihood.mean.copy()
         try:
             if share is None:
-                start = start_of(likelihood, start)
+                theta = start_of(likelihood, theta)
             else:
-                start[:12] *= share
-            theta, chi2, _, converged = minimise(likelihood, start, 1e-5, 40)
+                theta[: len(scale)] *= share
+            theta, chi2, _, converged = minimise(likelihood, theta, 1e-5, 40)
             covariance, _ = likelihood.covariance(theta, chi2 / (6 * lines.count))
         except np.linalg.LinAlgError:
             continue
         p_value = float(chdtrc(6 * lines.count, chi2))
-        if converged and p_value > calibrated("ligament.inplane_least_p"):
-            return replace(_told(found, likelihood, weak, theta, covariance, scale), p_value=p_value)
-    usual = _usual(found, calibrated("ligament.inplane_default"), calibrated("ligament.inplane_default_sd"))
+        if converged and p_value > _calibrated()["inplane_least_p"]:
+            return _determined(found, likelihood, weak, theta, covariance, p_value)
+    usual = _usual(found, "default")
     return InPlane(usual.mean, usual.covariance, False, p_value)
 
 
-def _told(
-    found: Fit, likelihood: Likelihood, weak: Prior, theta: Array, covariance: Array, scale: Array
+def _determined(
+    found: Fit, likelihood: Likelihood, weak: Prior, theta: Array, covariance: Array, p_value: float
 ) -> InPlane:
     """Return K_cc and D_cc, SI, as a fit tells them with the usual ratio for a prior.
 
@@ -131,29 +127,29 @@ def _told(
     its posterior, for a normal compliance as precise as at this stiffness. The sd of the other entries grows
     with the square of the stiffness, at most to that of the usual ratio.
     """
-    usual = _usual(found, calibrated("ligament.inplane_default"), calibrated("ligament.inplane_default_sd"))
-    count, stiffnesses = len(usual.mean), diagonal(3)
-    beforehand = np.diag(weak.covariance)
+    usual, scale, stiffnesses = _usual(found, "default"), entry_scale(found, found.data.columns), diagonal(3)
+    count, usual_sd = len(scale), np.sqrt(np.diag(usual.covariance))
     there, _ = likelihood.covariance(np.concatenate([usual.mean / scale, theta[count:]]))
     entries, sd = theta[:count] * scale, np.sqrt(np.maximum(np.diag(covariance)[:count], 1e-300)) * scale
+    beforehand = np.diag(weak.covariance)
     precision = [
         np.sqrt(np.maximum(1.0 / np.diag(spread)[:count] - 1.0 / beforehand, 0.0)) / scale * at**2
         for spread, at in ((covariance, entries), (there, usual.mean))
     ]
     grown, own, told = np.ones(3), sd.copy(), np.ones(3, dtype=bool)
     for number, place in enumerate(stiffnesses):
-        expected, spread = float(usual.mean[place]), float(np.sqrt(usual.covariance[place, place]))
+        expected = float(usual.mean[place]), float(usual_sd[place])
         seen = float(precision[0][place]), float(precision[1][place])
-        mean, after = _posterior_of_stiffness(float(entries[place]), seen, expected, spread)
-        _, unseen = _posterior_of_stiffness(expected, (0.0, 0.0), expected, spread)
+        mean, after = _posterior_of_stiffness(float(entries[place]), seen, *expected)
+        _, unseen = _posterior_of_stiffness(expected[0], (0.0, 0.0), *expected)
         told[number] = after < _INFORMED * unseen
         grown[number] = max(np.hypot(mean, after) / max(entries[place], sd[place]), 1.0)
         entries[place], own[place] = mean, after
-    most = np.maximum(np.sqrt(np.diag(usual.covariance)), sd)
-    others = np.minimum(sd * np.tile(vector(np.outer(grown, grown)), 2), most)
+    others = sd * np.tile(vector(np.outer(grown, grown)), 2)
+    others = np.minimum(others, np.maximum(usual_sd, sd))
     factor = np.where(np.isin(np.arange(count), stiffnesses), own, others) / sd
     joint = covariance[:count, :count] * np.outer(scale * factor, scale * factor)
-    return InPlane(entries, joint, bool(np.all(told[:2])), None)
+    return InPlane(entries, joint, bool(np.all(told[:2])), p_value)
 
 
 def _posterior_of_stiffness(
@@ -178,40 +174,28 @@ def _posterior_of_stiffness(
     return mean, float(np.sqrt(weight @ (stiffness - mean) ** 2))
 
 
-def _usual(found: Fit, ratio: float, ratio_sd: float) -> Prior:
-    """Return mean and covariance of K_cc and D_cc, SI, by the piston's: torsion that of a ring of 1 mm."""
+def _usual(found: Fit, name: str) -> Prior:
+    """Return K_cc and D_cc, SI, by a calibrated ratio to the piston's: torsion that of a ring of 1 mm."""
+    ratio, ratio_sd = (_calibrated()[f"inplane_{name}{ending}"] for ending in ("", "_sd"))
     scale = entry_scale(found)
     stiffness = found.theta[0] * scale[0]
     least = 0.05 * stiffness / found.data.reference**found.law.time_power
-    means, spreads = [], []
-    for value in (stiffness, max(found.theta[6] * scale[6], least)):
-        means.append(vector(np.diag([ratio, ratio, ratio * _MM**2])) * value)
-        sd = np.array([[ratio_sd, 1.0, _MM], [1.0, ratio_sd, _MM], [_MM, _MM, ratio * _MM**2]])
-        spreads.append(vector(sd) * value)
-    return Prior(np.concatenate(means), np.diag(np.concatenate(spreads) ** 2))
+    sd = np.array([[ratio_sd, 1.0, _MM], [1.0, ratio_sd, _MM], [_MM, _MM, ratio * _MM**2]])
+    both = stiffness, max(found.theta[6] * scale[6], least)
+    mean = [vector(np.diag([ratio, ratio, ratio * _MM**2])) * value for value in both]
+    spread = [vector(sd) * value for value in both]
+    return Prior(np.concatenate(mean), np.diag(np.concatenate(spread) ** 2))
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """What a fit says of K and D about the footplate centre, SI, as draws.
+    """What a fit says of K and D about the footplate centre, SI, as draws."""
 
-    Attributes
-    ----------
-    estimate, draws : ndarray, (12,) or (n (n + 1),), and (draws, ...)
-        K and D.
-    spread : ndarray, (draws, p)
-        Draws of theta that they belong to, less the estimate.
-    plane_estimate, plane_draws
-        K' and D' about the plane of the ligament; the same where it is not estimated.
-    plane : InPlane or None
-    """
-
-    estimate: Array
-    draws: Array = field(repr=False)
-    spread: Array = field(repr=False)
-    plane_estimate: Array
+    estimate: Array  # (n (n + 1),): K and D
+    draws: Array = field(repr=False)  # (draws, n (n + 1))
+    spread: Array = field(repr=False)  # (draws, p): draws of theta that they belong to, less the estimate
+    plane_estimate: Array  # K' and D' about the plane of the ligament; the same where it is not estimated
     plane_draws: Array = field(repr=False)
-    plane: InPlane | None
 
 
 def posterior(
@@ -235,17 +219,13 @@ def posterior(
     if found.likelihood.model.law == "fractional" and found.law.free:  # D's unit depends on the exponent
         change = found.data.reference ** -spread[:, found.at["law"]]
         own[:, count // 2 :] *= change
-    if plane is None or not found.likelihood.column_units.size or found.likelihood.model.motion != PLANE:
-        return Posterior(own_estimate, own, spread, own_estimate, own, None)
-    coupling_si = coupling_scale(found.data).ravel()
-    couplings = (found.theta + spread)[:, found.at["coupling"]] * coupling_si
+    if plane is None:
+        return Posterior(own_estimate, own, spread, own_estimate, own)
+    coupling, scale = found.theta[found.at["coupling"]], coupling_scale(found.data).ravel()
     inside = plane.entries + normal[:, size:] @ root_of(plane.covariance).T
-    whole = own + _lifted(couplings, inside, n)
-    estimate = (
-        own_estimate
-        + _lifted(found.theta[found.at["coupling"]][None] * coupling_si, plane.entries[None], n)[0]
-    )
-    return Posterior(estimate, whole, spread, own_estimate, own, plane)
+    estimate = own_estimate + _lifted(coupling[None] * scale, plane.entries[None], n)[0]
+    whole = own + _lifted((coupling + spread[:, found.at["coupling"]]) * scale, inside, n)
+    return Posterior(estimate, whole, spread, own_estimate, own)
 
 
 def _lifted(couplings: Array, inside: Array, n: int) -> Array:

@@ -42,17 +42,10 @@ def cone_beams(cone_deg: float) -> Array:
 
 @dataclass(frozen=True)
 class Layout:
-    """Points that three laser heads see.
+    """Points that three laser heads see."""
 
-    Attributes
-    ----------
-    points_mm : ndarray, (n, 3)
-        About the footplate centre in footplate axes.
-    beams : ndarray, (3, 3)
-        Directions towards the heads, one a row, footplate axes.
-    """
-
-    points_mm: Array
+    points_mm: Array  # (n, 3): about the footplate centre in footplate axes
+    # (3, 3): directions towards the heads, one a row, footplate axes
     beams: Array = field(default_factory=lambda: cone_beams(20.0))
 
     @cached_property

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fitting.axes import principal_axes
 from fitting.draws import root_of, standard_draws
+from fitting.model import principal_axes
 from fitting.plane import PISTON_DOF
 from stapeskit.arrays import Array
 
@@ -63,22 +63,12 @@ def linear_ratio(points_mm: Array, entries_si: Array) -> Array:
 
 @dataclass(frozen=True)
 class Rim:
-    """Stiffness along the rim over its mean.
+    """Stiffness along the rim over its mean."""
 
-    Attributes
-    ----------
-    points_mm : ndarray, (n, 2)
-        x and z of the rim in footplate axes.
-    ratio, sd : ndarray, (n,)
-        Stiffness over its mean along the rim, and its standard deviation.
-    side : str
-        ``left``, ``right`` or empty: names z.
-    """
-
-    points_mm: Array
-    ratio: Array
-    sd: Array
-    side: str = ""
+    points_mm: Array  # (n, 2): x and z of the rim in footplate axes
+    ratio: Array  # (n,): stiffness over its mean along the rim, and its standard deviation
+    sd: Array  # (n,): stiffness over its mean along the rim, and its standard deviation
+    side: str = ""  # ``left``, ``right`` or empty: names z
 
     @property
     def stiffest(self) -> int:
@@ -119,23 +109,12 @@ def rim_of(fit: KDFit) -> Rim | None:
 
 @dataclass(frozen=True)
 class Ring:
-    """What an even ring of the measured K11 and D11 would be, SI; pairs are values with their sd.
+    """What an even ring of the measured K11 and D11 would be, SI; pairs are values with their sd."""
 
-    Attributes
-    ----------
-    length_m : float
-        Of the rim.
-    shear_pa : (float, float)
-        c = K11 / length = G t / g: the shear modulus times thickness over width.
-    loss_factor : (float, float)
-        Im / Re of the piston's dynamic stiffness in the middle of the band.
-    rocking_ratio : (float, float)
-        Measured stiffness over that of the ring about the principal axes near x and z.
-    """
-
-    length_m: float
-    shear_pa: tuple[float, float]
-    loss_factor: tuple[float, float]
+    length_m: float  # of the rim
+    shear_pa: tuple[float, float]  # c = K11 / length = G t / g: the shear modulus times thickness over width
+    loss_factor: tuple[float, float]  # im / Re of the piston's dynamic stiffness in the middle of the band
+    # measured stiffness over that of the ring about the principal axes near x and z
     rocking_ratio: tuple[float, float]
 
 

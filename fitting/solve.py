@@ -1,4 +1,4 @@
-"""Find the minimum of the likelihood: starts, the noise level, robust weights, weak entries, damping laws."""
+"""Find the minimum of the likelihood: starts, the noise level, robust weights."""
 
 from __future__ import annotations
 
@@ -190,16 +190,8 @@ def minimise(
         return kept[key]
 
     def descend(phi: Array) -> OptimizeResult:
-        return least_squares(
-            lambda phi: reduced(phi)[0],
-            phi,
-            lambda phi: reduced(phi)[1],
-            x_scale="jac",
-            ftol=tolerance,
-            xtol=1e-10,
-            gtol=1e-10,
-            max_nfev=most,
-        )
+        ends = {"ftol": tolerance, "xtol": 1e-10, "gtol": 1e-10, "max_nfev": most}
+        return least_squares(lambda at: reduced(at)[0], phi, lambda at: reduced(at)[1], x_scale="jac", **ends)
 
     try:
         found = descend(phi)
@@ -345,12 +337,11 @@ def best_start(likelihood: Likelihood) -> Array:
 
 def entry_scale(found: Fit, places: Sequence[int] | None = None) -> Array:
     """Return SI over scaled of the entries of K and D of the rows of a fit, or of other measured motion."""
-    root, reference = (
-        found.data.root_mass[found.data.rows if places is None else places],
-        found.data.reference,
-    )
+    data = found.data
+    root = data.root_mass[data.rows if places is None else places]
     product = vector(np.outer(root, root))
-    return np.concatenate([product * reference**2, product * reference ** (2.0 - found.law.time_power)])
+    powers = (2.0, 2.0 - found.law.time_power)
+    return np.concatenate([product * data.reference**power for power in powers])
 
 
 def bend(found: Fit) -> Array:
@@ -371,17 +362,6 @@ def bend(found: Fit) -> Array:
     twice = np.ones(len(theta))
     twice[at["shared"]] = 0.5  # a pair of errors is met in both orders
     return np.reshape(bent, (-1, *inverse.shape[:1], len(theta))) * twice
-
-
-def compare_laws(data: Data, model: Model, names: Sequence[str], robust: bool = False) -> dict[str, Fit]:
-    """Fit under several damping laws; those that do not settle are left out."""
-    fits = {}
-    for name in names:
-        try:
-            fits[name] = fit(data, replace(model, law=name), robust=robust)
-        except np.linalg.LinAlgError:
-            continue
-    return fits
 
 
 def bic(found: Fit, level: float) -> float:

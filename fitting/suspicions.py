@@ -8,6 +8,7 @@ import numpy as np
 
 from fitting.data import Data
 from fitting.likelihood import LOAD, PLAIN, Likelihood, Model
+from fitting.options import COMPARE
 from fitting.solve import best_start, degrees, minimise
 from stapeskit.spatial import DOF_NAMES
 from stapeskit.warnings import Notice
@@ -23,14 +24,14 @@ _DEGREES = 6.0
 def suspicions(data: Data, law: str) -> list[Notice]:
     """Return warnings about a motion that fits its equations only when it is read otherwise."""
     notices = _degrees(data)
-    model = Model(law if law != "compare" else "viscous", LOAD if data.loads_known else PLAIN)
+    model = Model(law if law != COMPARE else "viscous", LOAD if data.loads_known else PLAIN)
     bare = data.without_errors()
     own = _level(bare, model)
     if own < _BAD:
         return notices
-    m = len(data.measured)
-    order = np.r_[m : 2 * m, :m]
-    sign = np.r_[np.ones(m), -np.ones(m)]
+    sign = np.repeat([1.0, -1.0], len(data.measured))
+    order = np.roll(np.arange(len(sign)), len(data.measured))
+    other = bare.covariance[:, order][:, :, order]
     readings = (
         (
             "phase_convention",
@@ -46,16 +47,16 @@ def suspicions(data: Data, law: str) -> list[Notice]:
         ),
         (
             "bodies_exchanged",
-            replace(bare, y=bare.y[:, order], covariance=bare.covariance[:, order][:, :, order]),
+            replace(bare, y=bare.y[:, order], covariance=other),
             "Structure and base look exchanged: the motion fits with their names swapped",
             "Exchange the names of the bodies, or --structure and --base",
         ),
     )
-    levels = [_level(reading, model) for _, reading, _, _ in readings]
-    best = int(np.argmin(levels))
-    if levels[best] < _BETTER * own:
-        code, _, meaning, step = readings[best]
-        text = f"{meaning} with chi2 per degree of freedom {levels[best]:.3g} instead of {own:.3g}. {step}."
+    level, code, meaning, step = min(
+        (_level(reading, model), code, meaning, step) for code, reading, meaning, step in readings
+    )
+    if level < _BETTER * own:
+        text = f"{meaning} with chi2 per degree of freedom {level:.3g} instead of {own:.3g}. {step}."
         notices.append(Notice(code, text))
     return notices
 
@@ -71,21 +72,16 @@ def _level(data: Data, model: Model) -> float:
 
 
 def _degrees(data: Data) -> list[Notice]:
-    m = len(data.measured)
-    size = np.sqrt(np.mean(np.abs(data.y) ** 2, axis=0)) / np.tile(data.root_mass, 2)
-    turns = [place for place, name in enumerate(data.measured) if name in DOF_NAMES[3:]]
-    moves = [place for place, name in enumerate(data.measured) if name in DOF_NAMES[:3]]
-    if not turns or not moves:
+    turned = np.array([name in DOF_NAMES[3:] for name in data.measured])
+    if np.all(turned) or not np.any(turned):
         return []
-    ratios = [
-        1e-3 * np.linalg.norm(size[[body * m + place for place in turns]])
-        / max(float(np.linalg.norm(size[[body * m + place for place in moves]])), 1e-300)
-        for body in (0, 1)
-    ]  # fmt: skip
-    if np.sqrt(ratios[0] * ratios[1]) < _DEGREES:
+    size = (np.sqrt(np.mean(np.abs(data.y) ** 2, axis=0)) / np.tile(data.root_mass, 2)).reshape(2, -1)
+    moved = np.maximum(np.linalg.norm(size[:, ~turned], axis=1), 1e-300)
+    first, second = 1e-3 * np.linalg.norm(size[:, turned], axis=1) / moved
+    if np.sqrt(first * second) < _DEGREES:
         return []
     text = (
-        f"Rotations times 1 mm are {ratios[0]:.3g} (structure) and {ratios[1]:.3g} (base) times the "
+        f"Rotations times 1 mm are {first:.3g} (structure) and {second:.3g} (base) times the "
         "displacements: they look like degrees. Write them in radians."
     )
     return [Notice("unit_slip", text)]

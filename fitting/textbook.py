@@ -7,8 +7,8 @@ none of it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from scipy.special import chdtrc
@@ -23,35 +23,9 @@ from stapeskit.arrays import Array
 _MARGIN = 5e-7  # of the stability constraint, scaled
 
 
-@dataclass(frozen=True)
-class Textbook:
-    """An estimate of a textbook.
-
-    Attributes
-    ----------
-    found : Fit
-        With the covariance of the estimate: noise, and the shared errors that it does not estimate.
-    bias : ndarray, (p,)
-        What noise of the regressor does to K and D, scaled.
-    active : tuple of str
-        Constraints that hold the estimate back.
-    notes : tuple of str
-        What is not sure of a constrained minimum.
-    """
-
-    found: Fit
-    bias: Array
-    active: tuple[str, ...] = ()
-    notes: tuple[str, ...] = field(default=())
-
-
 def estimate(
-    data: Data,
-    model: Model,
-    constrained: bool = False,
-    lower: Mapping[str, float] | None = None,
-    upper: Mapping[str, float] | None = None,
-) -> Textbook:
+    data: Data, model: Model, constrained: bool, lower: Mapping[str, float], upper: Mapping[str, float]
+) -> tuple[Fit, Array, tuple[str, ...]]:
     """Estimate K and D by least squares: rows in SI (pinv), or balanced by mass (constrained).
 
     Parameters
@@ -59,8 +33,17 @@ def estimate(
     constrained : bool
         Keep signs, ranges and stability: of the eigenvalues (paper), of laws that are not viscous by positive
         semidefinite K and D, which is sufficient for it.
-    lower, upper : mapping of str to float, optional
+    lower, upper : mapping of str to float
         Bounds of entries, SI.
+
+    Returns
+    -------
+    found : Fit
+        With the covariance of the estimate: noise, and the shared errors that it does not estimate.
+    bias : ndarray, (p,)
+        What noise of the regressor does to K and D, scaled.
+    active : tuple of str
+        What holds the estimate back.
     """
     likelihood = Likelihood(data, model)
     entries, theta = likelihood.at["entries"], likelihood.mean.copy()
@@ -78,11 +61,10 @@ def estimate(
     size = np.where(size > 0.0, size, 1.0)
     free = np.linalg.lstsq(matrix / size, wanted, rcond=1e-13)[0] / size
     active: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
     if constrained:
-        free, active, notes = _constrained(matrix, wanted, free, likelihood, lower or {}, upper or {})
+        free, active = _constrained(matrix, wanted, free, likelihood, lower, upper)
     theta[entries] = free
-    return Textbook(*_spread(likelihood, theta, matrix, weights), active, notes)
+    return *_spread(likelihood, theta, matrix, weights), active
 
 
 def _spread(likelihood: Likelihood, theta: Array, matrix: Array, weights: Array) -> tuple[Fit, Array]:
@@ -96,30 +78,24 @@ def _spread(likelihood: Likelihood, theta: Array, matrix: Array, weights: Array)
     inverse = np.linalg.pinv(matrix, rcond=1e-12)
     half = inverse.shape[1] // 2
     whole = (inverse[:, :half] - 1j * inverse[:, half:]).reshape(len(inverse), data.count, -1)
-    every = np.eye(data.y.shape[1], dtype=complex)[None]
-    operator = weights[:, None] * likelihood.act(theta, every)
+    operator = weights[:, None] * likelihood.act(theta, np.eye(data.y.shape[1], dtype=complex)[None])
     noise = operator @ data.covariance @ operator.conj().swapaxes(1, 2)
     own = 0.5 * np.einsum("pli,lij,qlj->pq", whole, noise, whole.conj()).real
-    white, *_ = likelihood.look(theta)
-    chi2 = 2.0 * float(np.sum(np.abs(white) ** 2))
+    chi2 = 2.0 * float(np.sum(np.abs(likelihood.look(theta)[0]) ** 2))
     n_dof = degrees(likelihood)
     if n_dof > 0 and chdtrc(n_dof, chi2) < MISFIT_P:
         residuals = (operator @ data.y[:, :, None])[..., 0]
         own = _left_out_one_by_one(matrix, np.asarray(inverse), np.stack([residuals.real, residuals.imag]))
-    bias = _bias(likelihood, theta, matrix, weights)
-    shared = (weights[:, None] * likelihood.slopes(theta, data.y[:, :, None])[likelihood.at["shared"]])[
-        ..., 0
-    ]
-    moved = shared.reshape(len(data.sources), data.count * likelihood.n).T
+    shared = likelihood.at["shared"]
+    slopes = (weights[:, None] * likelihood.slopes(theta, data.y[:, :, None])[shared])[..., 0]
+    moved = slopes.reshape(len(data.sources), data.count * likelihood.n).T
     gain = -inverse @ np.concatenate([moved.real, moved.imag])
-    covariance = np.eye(likelihood.count)
+    covariance = np.zeros((likelihood.count, likelihood.count))
     covariance[entries, entries] = own + gain @ gain.T
-    covariance[entries, likelihood.at["shared"]] = gain
-    covariance[likelihood.at["shared"], entries] = gain.T
-    fixed = np.r_[entries.stop : likelihood.at["shared"].start]
-    covariance[fixed, fixed] = 0.0
+    covariance[entries, shared], covariance[shared, entries] = gain, gain.T
+    covariance[shared, shared] = np.eye(len(data.sources))
     found = Fit(likelihood, theta, chi2, n_dof, 1, True, covariance, own)
-    return found, bias
+    return found, _bias(likelihood, theta, matrix, weights)
 
 
 def _left_out_one_by_one(matrix: Array, inverse: Array, residuals: Array) -> Array:
@@ -164,10 +140,8 @@ def _constrained(
     likelihood: Likelihood,
     lower: Mapping[str, float],
     upper: Mapping[str, float],
-) -> tuple[Array, tuple[str, ...], tuple[str, ...]]:
-    """Return the estimate within signs, ranges and stability, the active constraints and notes."""
-    from scipy.optimize import minimize
-
+) -> tuple[Array, tuple[str, ...]]:
+    """Return the estimate within signs, ranges and stability, and what holds it back."""
     n, labels = likelihood.n, names(likelihood.n)
     scale = entry_scale(Fit(likelihood, likelihood.mean, 0.0, 1, 0, True))
     low, high = np.full(len(free), -np.inf), np.full(len(free), np.inf)
@@ -175,33 +149,48 @@ def _constrained(
     for limits, bounds in ((low, lower), (high, upper)):
         for name, value in bounds.items():
             limits[labels.index(name)] = value / scale[labels.index(name)]
-    mass = likelihood.row_units @ likelihood.data.mass @ likelihood.row_units.T
-    whole = max(float(wanted @ wanted), 1e-300)
-
-    def objective(p: Array) -> float:
-        return float(np.sum((matrix @ p - wanted) ** 2)) / whole
-
-    def stability(p: Array) -> float:
-        return float(-np.linalg.eigvals(state_matrix(mass, *split(p, n))).real.max()) - _MARGIN
-
-    def inside(p: Array, slack: float = 1e-9) -> bool:
-        return bool(np.all(p >= low - slack) and np.all(p <= high + slack))
-
     viscous = likelihood.model.law == "viscous"
-    stable = (
-        stability(free) >= 0.0
-        if viscous
-        else all(np.linalg.eigvalsh(part)[0] >= -1e-12 for part in split(free, n))
-    )
-    if inside(free, 0.0) and stable:
-        return free, (), ()
-    semidefinite = _semidefinite(matrix, wanted, free, n, low, high)
-    guess = np.zeros(len(free))
+    stability = partial(_stability, likelihood.row_units @ likelihood.data.mass @ likelihood.row_units.T)
+    semidefinite = all(np.linalg.eigvalsh(part)[0] >= -1e-12 for part in split(free, n))
+    if np.all((free >= low) & (free <= high)) and (stability(free) >= 0.0 if viscous else semidefinite):
+        return free, ()
+    nearest, guess = _semidefinite(matrix, wanted, free, n, low, high), np.zeros(len(free))
     guess[diagonals(n)] = np.repeat([1.0, 0.3], n)
+    best = _stable(matrix, wanted, (nearest, guess, free), stability, low, high) if viscous else None
+    held = nearest if best is None else best
+    at_bound = (held <= low + 1e-9) | (held >= high - 1e-9)
+    active = [f"{labels[place]} at its bound" for place in np.flatnonzero(at_bound)]
+    if best is not None:
+        return best, (*active, *(["stability"] if stability(best) < 1e-6 else []))
+    if viscous:
+        active.append("positive semidefinite K and D (no stable minimum was found from three starts)")
+    for word, part in zip(("stiffness_psd", "damping_psd"), split(held, n), strict=True):
+        values = np.linalg.eigvalsh(part)
+        active += [word] if values[0] < 1e-6 * values[-1] else []
+    return held, tuple(active)
+
+
+def _stability(mass: Array, p: Array) -> float:
+    """Return how far the eigenvalues are from growing motion, scaled: positive where none grows."""
+    return float(-np.linalg.eigvals(state_matrix(mass, *split(p, len(mass)))).real.max()) - _MARGIN
+
+
+def _stable(
+    matrix: Array,
+    wanted: Array,
+    starts: Sequence[Array],
+    stability: Callable[[Array], float],
+    low: Array,
+    high: Array,
+) -> Array | None:
+    """Return the least equation error of a stable model within bounds, from some starts; None without one."""
+    from scipy.optimize import minimize
+
+    whole = max(float(wanted @ wanted), 1e-300)
     found = []
-    for start in (semidefinite, guess, free) if viscous else ():
+    for start in starts:
         end = minimize(
-            objective,
+            lambda p: float(np.sum((matrix @ p - wanted) ** 2)) / whole,
             np.clip(start, low, high),
             jac=lambda p: 2.0 * matrix.T @ (matrix @ p - wanted) / whole,
             bounds=list(zip(low, high, strict=True)),
@@ -209,17 +198,9 @@ def _constrained(
             method="SLSQP",
             options={"ftol": 1e-14, "maxiter": 500},
         ).x
-        found += [end] if stability(end) > -1e-8 and inside(end) else []
-    best = min(found, key=objective) if found else semidefinite
-    at_bound = (best <= low + 1e-9) | (best >= high - 1e-9)
-    active = [f"{labels[place]} at its bound" for place in np.flatnonzero(at_bound)]
-    if found:
-        return best, (*active, *(["stability"] if stability(best) < 1e-6 else [])), ()
-    for word, part in zip(("stiffness_psd", "damping_psd"), split(best, n), strict=True):
-        values = np.linalg.eigvalsh(part)
-        active += [word] if values[0] < 1e-6 * values[-1] else []
-    note = "no stable minimum was found from three starts; K and D are positive semidefinite instead"
-    return best, tuple(active), (note,) if viscous else ()
+        inside = np.all((end >= low - 1e-9) & (end <= high + 1e-9))
+        found += [end] if inside and stability(end) > -1e-8 else []
+    return min(found, key=lambda p: float(np.sum((matrix @ p - wanted) ** 2))) if found else None
 
 
 def _semidefinite(matrix: Array, wanted: Array, free: Array, n: int, low: Array, high: Array) -> Array:
@@ -237,5 +218,4 @@ def _semidefinite(matrix: Array, wanted: Array, free: Array, n: int, low: Array,
         least_squares(residual, roots_of(free, n, floor), x_scale="jac", ftol=1e-12, xtol=1e-12, gtol=1e-12)
         for floor in (1e-2, 0.3)
     ]
-    best = min(found, key=lambda one: one.cost)
-    return from_roots(best.x, n)[0]
+    return from_roots(min(found, key=lambda one: one.cost).x, n)[0]

@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fitting.causes import point
 from fitting.draws import root_of
 from fitting.entries import join, split
 from fitting.laws import LAWS, Law
+from fitting.unknowns import point
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.spatial import dof_indices, matrix_from_parameters

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fitting.axes import principal_axes
-from fitting.model import modes, passive
+from fitting.model import modes, passive, principal_axes
 from stapeskit.arrays import Array
 
 # Stapes experiment, y, alpha, gamma about the footplate centre, SI.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting import entries
-from fitting.axes import principal_axes
+from fitting.model import principal_axes
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.report.colours import BODY_COLOURS, FITTED, MEASURED, lighten
 from stapeskit.report.figures import amplitude_axis, decimate_lines, dof_unit, frequency_axis, panels, style
@@ -27,14 +27,10 @@ _MOST_RUNS = 4  # whose responses are drawn
 
 @dataclass(frozen=True)
 class Responses:
-    """Measured and simulated motion of the structure, a run; m and rad.
+    """Measured and simulated motion of the structure and base, a run; m and rad.
 
-    Attributes
-    ----------
-    freq_hz : ndarray, (lines,)
-    measured, simulated, base : ndarray, (lines, n), complex
-    measured_sd, simulated_sd : ndarray, (lines, n)
-        Of the real (= imaginary) part, and of the simulated amplitude by the uncertainty of K and D.
+    ``measured``, ``simulated`` and ``base`` are (lines, n), complex. ``measured_sd`` is that of the real
+    (= imaginary) part, ``simulated_sd`` that of the simulated amplitude by the uncertainty of K and D.
     """
 
     freq_hz: Array
@@ -48,18 +44,18 @@ class Responses:
 def responses(fit: KDFit, run: int = 0) -> Responses:
     """Simulate the structure from measured base motion and load (paper, Eq. 8)."""
     found, data = fit.found, fit.found.data
-    chosen = data.run == run
-    structure, base, simulated, slopes = (part[chosen] for part in found.likelihood.response(found.theta))
+    lines, rows = data.run == run, np.array(data.rows)
+    simulated, slopes = (part[lines] for part in found.likelihood.response(found.theta))
     along = (slopes * (simulated / np.maximum(np.abs(simulated), 1e-300)).conj()[..., None]).real
     count = found.at["entries"].stop
     variance = np.einsum("lip,pq,liq->li", along, found.covariance[:count, :count], along)
-    noise = np.einsum("lii->li", data.covariance[chosen]).real[:, data.rows] / 2.0
-    scale = data.amplitude / data.root_mass[data.rows]
+    noise = np.einsum("lii->li", data.covariance[lines]).real[:, rows] / 2.0
+    scale, y = data.amplitude / data.root_mass[rows], data.y[lines]
     return Responses(
-        data.freq_hz[chosen],
-        structure * scale,
+        data.freq_hz[lines],
+        y[:, rows] * scale,
         simulated * scale,
-        base * scale,
+        y[:, len(data.measured) + rows] * scale,
         np.sqrt(np.maximum(noise, 0.0)) * scale,
         np.sqrt(np.maximum(variance, 0.0)) * scale,
     )
@@ -90,20 +86,15 @@ def _amplitudes(
     measured, simulated, base = (
         np.abs(part[order, place]) * scale for part in (shown.measured, shown.simulated, shown.base)
     )
-    kept = decimate_lines(measured)
-    spread = 1.96 * shown.simulated_sd[order, place] * scale
+    kept, spread = decimate_lines(measured), 1.96 * shown.simulated_sd[order, place] * scale
     axes.plot(freq, base, color=lighten(BODY_COLOURS["base"]), lw=1.2, label="base, at the same point")
     axes.plot(freq[kept], measured[kept], ".", ms=3, color=MEASURED, alpha=0.7, label="measured")
-    axes.fill_between(
-        freq, np.maximum(simulated - spread, 1e-12), simulated + spread, color=FITTED, alpha=0.25, lw=0
-    )
+    lower = np.maximum(simulated - spread, 1e-12)
+    axes.fill_between(freq, lower, simulated + spread, color=FITTED, alpha=0.25, lw=0)
     axes.plot(freq, simulated, color=FITTED, lw=1.2, label="simulated (Eq. 8), 95 %")
     axes.set_ylabel(f"amplitude ({symbol})")
-    amplitude_axis(
-        axes,
-        max(float(measured.min()), 1e-4 * float(measured.max())),
-        float(max(measured.max(), simulated.max())),
-    )
+    largest = float(measured.max())
+    amplitude_axis(axes, max(float(measured.min()), 1e-4 * largest), max(largest, float(simulated.max())))
 
 
 def _phases(axes: Axes, shown: Responses, order: NDArray[np.intp], place: int) -> None:
@@ -129,21 +120,20 @@ def residual_figure(fit: KDFit) -> Figure:
     data = fit.found.data
     white = fit.found.likelihood.look(fit.found.theta)[0] * np.sqrt(2.0 * fit.found.noise)
     drawing, axes = panels(1, 2, height=2.8)
-    freq = np.repeat(data.freq_hz, white.shape[1]) / 1e3
+    left, right = axes[0]
+    freq, small = np.repeat(data.freq_hz, white.shape[1]) / 1e3, {"ms": 2.5, "rasterized": True}
     for part, colour, label in ((white.real, MEASURED, "real"), (white.imag, FITTED, "imaginary")):
-        axes[0, 0].plot(
-            freq, part.ravel(), ".", ms=2.5, color=colour, alpha=0.6, label=label, rasterized=True
-        )
+        left.plot(freq, part.ravel(), ".", color=colour, alpha=0.6, label=label, **small)
     for level in (-1.96, 1.96):
-        axes[0, 0].axhline(level, color=MEASURED, lw=0.7, ls=":")
-    frequency_axis(axes[0, 0], np.sort(data.freq_hz))
-    axes[0, 0].set_ylabel("residual over its noise")
-    axes[0, 0].legend(ncols=2)
+        left.axhline(level, color=MEASURED, lw=0.7, ls=":")
+    frequency_axis(left, np.sort(data.freq_hz))
+    left.set_ylabel("residual over its noise")
+    left.legend(ncols=2)
     values = np.sort(np.concatenate([white.real.ravel(), white.imag.ravel()]))
     expected = ndtri((np.arange(len(values)) + 0.5) / len(values))
-    axes[0, 1].plot(expected, values, ".", ms=2.5, color=MEASURED, rasterized=True)
-    axes[0, 1].plot(expected[[0, -1]], expected[[0, -1]], color=FITTED, lw=1.0)
-    axes[0, 1].set_xlabel("normal distribution")
+    right.plot(expected, values, ".", color=MEASURED, **small)
+    right.plot(expected[[0, -1]], expected[[0, -1]], color=FITTED, lw=1.0)
+    right.set_xlabel("normal distribution")
     return drawing
 
 
@@ -186,24 +176,21 @@ def rim_figure(rim: Rim) -> Figure:
     drawing, grid = panels(1, 1, width=6.4, height=3.8)
     axes = grid[0, 0]
     shade = (rim.ratio - rim.ratio.min()) / max(float(np.ptp(rim.ratio)), 1e-9)
-    pieces = np.stack([rim.points_mm, np.roll(rim.points_mm, -1, axis=0)], axis=1)
-    axes.add_collection(
-        LineCollection(list(pieces), array=shade, cmap="viridis", linewidths=3.0 + 7.0 * shade)
-    )
-    best = rim.points_mm[rim.stiffest]
-    axes.annotate(f"{rim.ratio[rim.stiffest]:.2f}", best, ha="center", va="center", fontsize=9)
+    pieces = list(np.stack([rim.points_mm, np.roll(rim.points_mm, -1, axis=0)], axis=1))
+    axes.add_collection(LineCollection(pieces, array=shade, cmap="viridis", linewidths=3.0 + 7.0 * shade))
     low, high = rim.points_mm.min(axis=0), rim.points_mm.max(axis=0)
     x, z = 0.5 * (low + high)
-    up, down = {"left": ("superior", "inferior"), "right": ("inferior", "superior")}.get(
-        rim.side, ("+z", "-z")
-    )
+    named = {"left": ("superior", "inferior"), "right": ("inferior", "superior")}
+    up, down = named.get(rim.side, ("+z", "-z"))
+    middle = {"ha": "center", "va": "center", "fontsize": 9}
+    axes.annotate(f"{rim.ratio[rim.stiffest]:.2f}", rim.points_mm[rim.stiffest], **middle)
     for text, place in (
         ("anterior", (high[0] + 0.25, z)),
         ("posterior", (low[0] - 0.25, z)),
         (up, (x, high[1] + 0.2)),
         (down, (x, low[1] - 0.2)),
     ):
-        axes.text(*place, text, ha="center", va="center", fontsize=9, color="#52606d")
+        axes.text(*place, text, color="#52606d", **middle)
     axes.set_aspect("equal")
     axes.set(xlabel="x (mm)", ylabel="z (mm)", xlim=(low[0] - 0.7, high[0] + 0.7))
     axes.set_ylim(low[1] - 0.45, high[1] + 0.45)

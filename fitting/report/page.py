@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fitting import entries
-from fitting.evidence import found_from
 from fitting.model import NORMALISATION
 from fitting.report.figures import all_figures, rim_figure
 from fitting.report.kd_json import equation
@@ -96,20 +95,18 @@ def verdict_block(fit: KDFit) -> Markup:
 
 def matrices(fit: KDFit) -> list[Markup]:
     """Return K and D with their intervals."""
-    titles = {"K": "Stiffness K", "D": f"Damping D ({fit.law.formula})"}
-    values = zip(titles, (fit.stiffness, fit.damping), fit.standard_deviation, strict=True)
     caption = f"{_ABOUT}; ± one standard deviation and, below it, the 95 % interval, all sources."
-    return [
-        page.matrix(
-            fit.dof,
-            value,
-            sd,
-            matrix_units(letter, fit.dof, fit.law.time_power),
-            f"{letter} {caption}",
-            title=titles[letter],
-        )
-        for letter, value, sd in values
-    ]
+    blocks = []
+    for letter, title, value, sd in zip(
+        "KD",
+        ("Stiffness K", f"Damping D ({fit.law.formula})"),
+        (fit.stiffness, fit.damping),
+        fit.standard_deviation,
+        strict=True,
+    ):
+        units = matrix_units(letter, fit.dof, fit.law.time_power)
+        blocks.append(page.matrix(fit.dof, value, sd, units, f"{letter} {caption}", title=title))
+    return blocks
 
 
 def _responses(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
@@ -131,13 +128,12 @@ def _modes(fit: KDFit) -> list[Markup]:
         return [page.text("No mode oscillates: all eigenvalues are real.")]
     derived, rows = fit.derived, []
     for place, mode in enumerate(fit.modes.pairs):
-        values = (
-            (mode.frequency_hz, derived.frequency_sd_hz[place]),
-            (mode.undamped_frequency_hz, derived.undamped_sd_hz[place]),
-            (mode.damping_ratio, derived.ratio_sd[place]),
-        )
         shape = zip(np.abs(mode.shape), derived.shape_sd[place], strict=True)
-        numbers = (Quantity(float(value), float(sd)) for value, sd in values)
+        numbers = (
+            Quantity(mode.frequency_hz, float(derived.frequency_sd_hz[place])),
+            Quantity(mode.undamped_frequency_hz, float(derived.undamped_sd_hz[place])),
+            Quantity(mode.damping_ratio, float(derived.ratio_sd[place])),
+        )
         rows.append((f"mode {place + 1}", *numbers, *(f"{size:.3g} ± {sd:.1g}" for size, sd in shape)))
     head = ("", "damped (Hz)", "undamped (Hz)", "damping ratio", *(f"|{name}|" for name in fit.dof))
     roots = ", ".join(f"{root:.4g}" for root in fit.modes.overdamped_roots_1_s)
@@ -145,25 +141,23 @@ def _modes(fit: KDFit) -> list[Markup]:
     return [page.table(head, rows, caption)]
 
 
-_AXES = {
-    "origin x": LENGTH,
-    "origin z": LENGTH,
-    "angle about +y": ShownUnit("°", 180.0 / np.pi),
-    "along y": STIFFNESS,
-    "about the axis near x": ROTATION_STIFFNESS,
-    "about the axis near z": ROTATION_STIFFNESS,
-}
-"""Principal axes as people see them (`fitting.axes.NAMES`)."""
+_AXES = (
+    ("origin x", LENGTH),
+    ("origin z", LENGTH),
+    ("angle about +y", ShownUnit("°", 180.0 / np.pi)),
+    ("along y", STIFFNESS),
+    ("about the axis near x", ROTATION_STIFFNESS),
+    ("about the axis near z", ROTATION_STIFFNESS),
+)
+"""Principal axes as people see them (`fitting.model.principal_axes`)."""
 
 
 def _axes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
     values, sds = fit.derived.axes, fit.derived.axes_sd
     if values is None or sds is None:
         return []
-    rows = [
-        (name, Quantity(float(value), float(sd), unit))
-        for (name, unit), value, sd in zip(_AXES.items(), values, sds, strict=True)
-    ]
+    numbers = zip(_AXES, values.tolist(), sds.tolist(), strict=True)
+    rows = [(name, Quantity(value, sd, unit)) for (name, unit), value, sd in numbers]
     caption = "The point and the turn about y that uncouple piston and rocking (paper, Fig. 6); not eig(K)."
     blocks = [
         page.table(("", "principal axes of K"), rows, caption),
@@ -199,7 +193,7 @@ def _plane(fit: KDFit) -> list[Markup]:
 
 
 def _causes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
-    found, search, bands = fit.found, fit.solution.search, fit.solution.bands
+    found, search, bands = fit.found, fit.search, fit.bands
     text = f"chi2 = {found.chi2:.1f} for {found.n_dof} degrees of freedom (p = {found.p_value:.2g}). "
     if search.best is not None:
         text += f"The best explanation is {search.best.title}. "
@@ -224,7 +218,7 @@ def _causes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
         caption = "Intervals of K and D are averaged over these explanations with their weights."
         blocks.append(page.table(head, rows, caption))
     least = [
-        (score.unknown.title, Quantity(found_from(score)), score.unknown.unit)
+        (score.unknown.title, Quantity(score.found_from), score.unknown.unit)
         for score in search.scores
         if not score.unknown.family and score.unknown.only is None
     ]
@@ -233,10 +227,9 @@ def _causes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
         blocks.append(page.folded("From which size errors are found", table))
     caption = "No pattern (left) and a straight line (right) mean that the model holds."
     blocks.append(page.figure(figures["residuals"], caption, "residuals", file="residuals"))
-    if fit.solution.laws:
+    if fit.laws:
         compared = [
-            (name, one.law.formula, float(one.chi2), _YES[one.explained])
-            for name, one in fit.solution.laws.items()
+            (name, one.law.formula, float(one.chi2), _YES[one.explained]) for name, one in fit.laws.items()
         ]
         columns = ("damping law", "dynamic stiffness", "chi2", "explains the data")
         blocks.append(page.table(columns, compared, words=True))
@@ -270,29 +263,26 @@ def _shown_source(source: str) -> str:
 def budget_blocks(fit: KDFit) -> list[Markup]:
     """Return the largest sources of uncertainty of the diagonal entries; all of them folded."""
     places = entries.diagonals(len(fit.dof))
-    variances = {_shown_source(source): np.diag(part)[places] for source, part in fit.budget.items()}
     size = entries.sizes(fit.stiffness, fit.damping)[places]
-
-    def row(source: str, variance: Array) -> tuple[str, ...]:
-        sd = np.sqrt(np.maximum(variance, 0.0))
-        return (source, *(share_of(own, whole) for own, whole in zip(sd, size, strict=True)))
-
+    variances = {_shown_source(source): np.diag(part)[places] for source, part in fit.budget.items()}
     by_size = sorted(variances, key=lambda source: -float(np.max(variances[source] / size**2)))
     largest, rest = by_size[:_LARGEST], by_size[_LARGEST:]
-    rows = [row(source, variances[source]) for source in largest]
+    shown = {source: variances[source] for source in largest}
     if rest:
-        rows.append(row(f"{len(rest)} others together", np.sum([variances[one] for one in rest], axis=0)))
-    rows.append(row("all sources", np.diag(fit.covariance)[places]))
-    shown = [f"{letter}({name})" for letter in "KD" for name in fit.dof]
-    head = (
-        "source",
-        *(f"{fit.parameters[place]}, {name}" for place, name in zip(places, shown, strict=True)),
-    )
+        shown[f"{len(rest)} others together"] = np.sum([variances[source] for source in rest], axis=0)
+    shown["all sources"] = np.diag(fit.covariance)[places]
+    names = zip(places, [f"{letter}({name})" for letter in "KD" for name in fit.dof], strict=True)
+    head = ("source", *(f"{fit.parameters[place]}, {name}" for place, name in names))
+
+    def rows(parts: Mapping[str, Array]) -> list[tuple[str, ...]]:
+        sds = {source: np.sqrt(np.maximum(part, 0.0)) for source, part in parts.items()}
+        return [(source, *map(share_of, sd.tolist(), size.tolist())) for source, sd in sds.items()]
+
     caption = "Standard deviation that goes away where a source is known exactly, in percent of the entry."
-    blocks = [page.table(head, rows, caption)]
+    blocks = [page.table(head, rows(shown), caption)]
     if rest:
-        whole = page.table(head, [row(one, variances[one]) for one in by_size])
-        blocks.append(page.folded("All sources", whole))
+        every = {source: variances[source] for source in by_size}
+        blocks.append(page.folded("All sources", page.table(head, rows(every))))
     return blocks
 
 
@@ -302,12 +292,10 @@ def share_of(part: float, size: float) -> str:
 
 
 def _identifiability(fit: KDFit) -> list[Markup]:
-    relative = entries.sizes(fit.stiffness, fit.damping)
+    numbers = zip(fit.values, fit.sd, fit.bound, entries.sizes(fit.stiffness, fit.damping), strict=True)
     rows = [
         (name, determined(value, sd, share_of(sd, size)), share_of(bound, size))
-        for name, value, sd, bound, size in zip(
-            fit.parameters, fit.values, np.sqrt(np.diag(fit.covariance)), fit.bound, relative, strict=True
-        )
+        for name, (value, sd, bound, size) in zip(fit.parameters, numbers, strict=True)
     ]
     caption = (
         "Relative to sqrt(Xii Xjj). Bound: smallest sd of any unbiased estimator of this model (Cramer-Rao)."

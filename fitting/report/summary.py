@@ -48,8 +48,8 @@ def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
     rows.append(("in-plane motion", inplane_words(fit)))
     for unknown, value, sd in fit.unknowns:
         rows.append((unknown.name, f"{plus_minus(value, sd)} {unknown.unit}, part of the model"))
-    best = fit.solution.search.best
-    if fit.solution.search.scores:
+    best = fit.search.best
+    if fit.search.scores:
         outcome = "no cause is called for" if best is None else f"the best explanation is {best.title}"
         if best is None and not fit.found.explained:
             outcome = "NO, and nothing that was tried explains it"

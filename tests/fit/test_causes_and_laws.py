@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from fitting import choices
-from fitting.causes import UNKNOWNS, candidates
 from fitting.data import data_of
 from fitting.evidence import log_odds
 from fitting.laws import LAWS
 from fitting.likelihood import Likelihood, Model
 from fitting.mass import inertia_of
-from fitting.unknowns import Unknown
+from fitting.options import UNKNOWN_NAMES
+from fitting.unknowns import UNKNOWNS, Unknown, candidates
 from tests.fit.fit_cases import DOF, M, agrees, codes, deviation, fit, paper_motion, ring_ear
 
 ALARMS = {"misfit", "cause_found", "fluid_found"}
@@ -38,7 +37,7 @@ def test_every_unknown_changes_the_equations_and_nothing_at_zero():
 
 
 def test_every_unknown_may_be_asked_for():
-    assert tuple(UNKNOWNS) == choices.UNKNOWNS
+    assert tuple(UNKNOWNS) == UNKNOWN_NAMES
 
 
 def test_odds_are_those_of_a_normal_prior():
@@ -64,7 +63,7 @@ def test_odds_are_those_of_a_normal_prior():
 def test_an_error_is_named_with_its_size(cause, size):
     ear = ring_ear(11, cause=cause, size=size, lines=60)
     result = fit(ear.motion, ear.mass)
-    best = result.solution.search.best
+    best = result.search.best
     if cause == "fluid":
         place = result.found.at["extra"].start
         assert result.found.likelihood.model.unknowns[0].name == "fluid"
@@ -117,7 +116,7 @@ def test_the_law_is_named_and_alike_laws_are_not_counted(law):
 def test_a_wrong_law_is_named_as_the_cause():
     motion, _ = paper_motion(0.01, 4, 100, "hysteretic")
     result = fit(motion, M)
-    assert result.solution.search.best.name == "law_hysteretic"
+    assert result.search.best.name == "law_hysteretic"
     assert "frequency_dependent" in codes(result)
 
 
@@ -125,7 +124,7 @@ def test_none_keeps_what_data_call_for_out_of_the_model():
     ear = ring_ear(11, cause="fluid", size=0.5, lines=60)
     result = fit(ear.motion, ear.mass, unknowns="none")
     assert not result.found.likelihood.model.unknowns
-    assert result.solution.search.best.name == "fluid"
+    assert result.search.best.name == "fluid"
 
 
 def test_every_law_takes_energy_and_stiffens_with_the_frequency():

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.axes import principal_axes
+from fitting.model import principal_axes
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 

@@ -18,7 +18,6 @@ from fitting.exports import (
     abaqus,
     ansys,
     comsol,
-    entry_table,
     file_names,
     matlab,
     prior_csv,
@@ -102,7 +101,7 @@ def test_matlab_and_csv_hold_numbers(result, tmp_path):
     content = loadmat(tmp_path / "kd.mat")
     assert content["K"] == pytest.approx(result.stiffness)
     assert content["covariance"] == pytest.approx(result.covariance)
-    frame = entry_table(result)
+    frame = result.to_frame()
     assert frame["sd"].to_numpy() == pytest.approx(np.sqrt(np.diag(result.covariance)))
     assert frame.dtypes[["value", "sd", "lower_95", "upper_95"]].map(str).eq("float64").all()
 

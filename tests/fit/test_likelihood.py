@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from fitting import entries
-from fitting.causes import chosen
 from fitting.data import data_of
 from fitting.likelihood import LOAD, PLAIN, Likelihood, Model
 from fitting.mass import inertia_of
@@ -14,6 +13,7 @@ from fitting.plane import plane_model
 from fitting.planned_motion import frame_maps
 from fitting.solve import bend
 from fitting.solve import fit as solve
+from fitting.unknowns import UNKNOWNS
 from simulate.ligament import ring_ligament
 from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.records.motion import SharedErrors
@@ -50,7 +50,8 @@ def likelihood(motion=LOAD, seed=3, **more):
 
 @pytest.mark.parametrize("kind", [PLAIN, LOAD, "plane"])
 def test_gradient_is_that_of_the_objective(kind):
-    more = {"unknowns": chosen(("fluid", "delay", "gain"))} if kind == "plane" else {}
+    freed = tuple(UNKNOWNS[name] for name in ("fluid", "delay", "gain"))
+    more = {"unknowns": freed} if kind == "plane" else {}
     own, theta = likelihood(kind, **more)
     gradient = own.jacobian(theta).T @ own.residuals(theta)
     for place in range(0, own.count, 5):
@@ -202,6 +203,25 @@ def test_estimates_reach_the_bound_with_honest_intervals():
         inside.append(np.abs(deviation(result)) < 1.96)
     assert np.median(np.sqrt(np.mean(np.square(errors), axis=0))) < 1.12  # 1 with 40 draws: sd 0.11 an entry
     assert agrees(np.mean(inside), 0.95, 480, correlated=3.0)
+
+
+def test_information_less_the_noise_of_the_regressor_is_that_of_exact_motion():
+    """Noise of the fitted motion adds to J^T J, but no information; pairs of opposite noise show how much."""
+    motion, _ = paper_motion(0.2, None, 60)
+    data = data_of(motion, inertia_of(M, DOF), DOF)
+    theta = solve(data, Model()).theta
+    exact = Likelihood(data, Model()).information(theta)
+    root, rng, left, added = np.linalg.cholesky(data.covariance), np.random.default_rng(0), [], []
+    for _ in range(10):
+        draws = rng.standard_normal((2, *data.y.shape)) * np.sqrt(0.5)
+        noise = (root @ (draws[0] + 1j * draws[1])[:, :, None])[:, :, 0]
+        for sign in (1.0, -1.0):
+            own = Likelihood(replace(data, y=data.y + sign * noise), Model())
+            left.append(np.diag(np.linalg.inv(own.covariance(theta)[1]) - exact))
+            added.append(np.diag(own.information(theta)) - np.diag(exact))
+    assert np.mean(added, axis=0).min() > 0.0
+    share = np.mean(left, axis=0) / np.mean(added, axis=0)
+    assert np.mean(share) == pytest.approx(0.0, abs=0.06)  # scatter of each share 0.06, of their mean 0.02
 
 
 def test_robust_weights_keep_sd_where_nothing_is_off_and_find_lines_that_are():

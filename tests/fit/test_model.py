@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from fitting.axes import principal_axes
 from fitting.entries import join, names, sizes, split
 from fitting.laws import LAWS, Law
-from fitting.model import modes, moved_eigenvalues, passive, simulate
+from fitting.model import modes, moved_eigenvalues, passive, principal_axes, simulate
 from tests.fit.fit_cases import D, K, M
 
 PRINTED_D = D.copy()

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from fitting import entries
+from fitting.checks import judge, unused_codes
 from fitting.montecarlo import scatter
 from fitting.plan import Plan, expect, stated_mass
 from fitting.planned_motion import planned_motion
-from fitting.verdict import judge, unused_codes
 from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.spatial import matrix_from_parameters
 from stapeskit.warnings import VERDICTS, Notice, table
@@ -150,8 +150,8 @@ def test_repetitions_scatter_as_the_intervals_say(ear):
 @pytest.mark.parametrize("cone_deg", [54.7356, 20.0])
 def test_the_plan_promises_what_a_fit_of_its_own_simulated_motion_states(cone_deg):
     plan = Plan.of(lines=40, cone_deg=cone_deg)
-    ways = expect(plan)
-    promised = ways[0].fit
+    fits = expect(plan)
+    promised = fits["as planned"]
     source = stated_mass(plan)
     mass = matrix_from_parameters(source.mass.parameters)
     stated, modes = [], []
@@ -167,9 +167,8 @@ def test_the_plan_promises_what_a_fit_of_its_own_simulated_motion_states(cone_de
     turned = np.abs(np.median(modes, axis=0) - 1.0)  # mode 1 is rocking about x: as K22
     assert turned[0] < 0.15
     assert np.all(turned[1:] < 0.1)
-    names = [way.name for way in ways]
-    quiet = ways[names.index("half the noise (4 times the averages)")]
-    assert np.all(quiet.relative <= ways[0].relative * 1.02)
+    quiet = fits["half the noise (4 times the averages)"]
+    assert np.all(quiet.relative_sd <= promised.relative_sd * 1.02)
 
 
 def test_weak_data_are_called_undetermined():

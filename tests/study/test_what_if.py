@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fitting.causes import point
+from fitting.unknowns import point
 from pipeline.cohort.ears import Ear, read_ears
 from pipeline.compare import write_comparison
 from pipeline.run import StudyResult
