@@ -22,10 +22,8 @@ class LawKind:
 
     # s of the angular frequency (lines,), or of -i lambda for an eigenvalue, and the unknown if there is one
     factor: Callable[..., ComplexArray]
-    # expected unknown of scaled frequencies (mean 1) and its standard deviation; 0 where there is none
-    usual: float = 0.0
-    # expected unknown of scaled frequencies (mean 1) and its standard deviation; 0 where there is none
-    usual_sd: float = 0.0
+    usual: float = 0.0  # expected unknown of scaled frequencies (mean 1)
+    usual_sd: float = 0.0  # its standard deviation; 0 where there is no unknown
     time_power: float | None = 1.0  # power of time in the unit of D; None: the unknown itself
     is_time: bool = False  # whether the unknown is a time
     includes: tuple[str, ...] = ()  # simpler laws that it becomes at a value of its unknown

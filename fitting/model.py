@@ -53,8 +53,7 @@ class Modes:
 
     pairs: tuple[Mode, ...]  # one per conjugate pair, ascending damped frequency
     overdamped_roots_1_s: tuple[float, ...]  # real eigenvalues, ascending
-    # largest real part; not above 0 where K and D are positive semidefinite and rounding alone could make it
-    # so
+    # largest real part; not above 0 where K and D are positive semidefinite and rounding alone made it so
     max_real_1_s: float
 
     @property

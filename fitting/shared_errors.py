@@ -82,11 +82,11 @@ def _mass_changes(inertia: Inertia, names: Sequence[str]) -> Array:
 
 def _independent(shared: SharedErrors) -> tuple[Array, list[str]]:
     """Return rows (k, p) of a root of a covariance, by blocks of correlated parameters, and their sources."""
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import connected_components
-
     size = np.sqrt(np.maximum(np.diag(shared.covariance), 0.0))
-    _, block = connected_components(csr_matrix(shared.covariance != 0.0), directed=False)
+    linked = (shared.covariance != 0.0) | np.eye(len(size), dtype=bool)
+    for _ in range(len(size).bit_length()):  # by steps of one, two, four ... to all of a block
+        linked = linked.astype(float) @ linked > 0.0
+    block = np.argmax(linked, axis=1)  # its first member
     rows, sources = [np.zeros((0, len(size)))], []
     for number in dict.fromkeys(block[size > 0.0].tolist()):
         members = np.flatnonzero(block == number)

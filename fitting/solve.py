@@ -26,30 +26,16 @@ _STUDENT = 4.0  # degrees of freedom of the robust weights (Lange, Little and Ta
 
 @dataclass(frozen=True)
 class Fit:
-    """A minimum with its covariance.
+    """A minimum with its covariance."""
 
-    Attributes
-    ----------
-    likelihood : Likelihood
-        With the noise level at which it was found.
-    theta : ndarray, (p,)
-    chi2 : float
-        With the noise as stated, priors and shared errors included.
-    n_dof : int
-        2 n lines less the unknowns without a prior.
-    covariance, inverse : ndarray, (p, p)
-        Of theta, and the inverse of what the data and priors know.
-    weights : ndarray, (lines,), or None
-        Robust weights.
-    """
-
-    likelihood: Likelihood
-    theta: Array
-    chi2: float
-    n_dof: int
+    likelihood: Likelihood  # with the noise level at which it was found
+    theta: Array  # (p,)
+    chi2: float  # with the noise as stated, priors and shared errors included
+    n_dof: int  # 2 n lines less the unknowns without a prior
     evaluations: int
     converged: bool
-    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)  # (p, p)
+    # (p, p): inverse of what the data and priors know of theta
     inverse: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
 
     @property

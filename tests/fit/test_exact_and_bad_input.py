@@ -250,13 +250,6 @@ def test_what_cannot_be_planned_is_refused_by_its_key(tmp_path, text, thing):
     assert [fault.thing for fault in raised.value.faults] == [thing]
 
 
-def test_bodies_in_each_other_s_place_are_named():
-    ear = ring_ear(3, lines=24)
-    result = fit(ear.motion, ear.mass, structure="base", base="stapes")
-    assert "bodies_exchanged" in codes(result)
-    assert result.verdict.level == "do not use"
-
-
 NAMED = {
     "as pandas writes it": ",y,alpha,gamma\ny,3,1,2\nalpha,1,5,0\ngamma,2,0,6\n",
     "names above": "y,alpha,gamma\n3,1,2\n1,5,0\n2,0,6\n",

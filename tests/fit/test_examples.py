@@ -49,6 +49,8 @@ def test_principal_axes_and_centre_of_mass(paper):
     assert [1e3 * x0, 1e3 * z0] == pytest.approx([-0.2787, -0.2404], abs=5e-5)
     assert np.degrees(angle) == pytest.approx(1.231, abs=5e-4)
     assert stiffness == pytest.approx([1722.0, 1.2694e-3, 3.6573e-3], rel=1e-4)
+    together = principal_axes(np.stack([paper.STIFFNESS, 2.0 * np.array(paper.STIFFNESS)]))
+    assert together[1, :3] == pytest.approx(together[0, :3])
     assert paper.centre_of_mass_mm() == pytest.approx([0.0447, 0.1359], abs=5e-5)
 
 
