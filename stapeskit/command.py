@@ -143,7 +143,7 @@ def no_progress(stage: str, share: float | None = None) -> None:
 
 @contextmanager
 def progress_line(shown: bool = True) -> Iterator[Progress]:
-    """Yield a function that shows time, stage and share in one line of standard error.
+    """Yield a function that shows time, stage, share and time left in one line of standard error.
 
     Nothing is shown unless ``shown`` and standard error is a terminal; the line is wiped when the block ends.
     """
@@ -152,11 +152,15 @@ def progress_line(shown: bool = True) -> Iterator[Progress]:
         return
     import time
 
-    began = time.monotonic()
+    began = {"": time.monotonic()}
 
     def report(stage: str, share: float | None = None) -> None:
+        now = time.monotonic()
+        passed = now - began.setdefault(stage, now)
         more = "" if share is None else f" {100 * share:.0f} %"
-        sys.stderr.write(f"{_CLEAR}{time.monotonic() - began:5.1f} s  {stage} ...{more}")
+        if share is not None and 0.02 < share < 1.0 and passed > 1.0:
+            more += f", about {passed * (1.0 - share) / share:.0f} s left"
+        sys.stderr.write(f"{_CLEAR}{now - began['']:5.1f} s  {stage} ...{more}")
         sys.stderr.flush()
 
     try:

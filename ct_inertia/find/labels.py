@@ -218,9 +218,9 @@ def _check_place(box: Box, local: Drawn, bright: Mask) -> None:
         if there > _ON_BONE:  # else the bone is too far to tell the way
             way = ", ".join(f"{value:+.3g}" for value in shift[::-1] * box.spacing_mm)
             got += f"; moved by {way} mm along x, y, z of the grid it would be {100.0 * there:.0f} %"
-        step = "Save the labels with their origin, on the grid of the scan"
+        advice = "Save the labels with their origin, on the grid of the scan"
         thing = "the stapes of the label volume"
-        raise StapeskitError.of(thing, "on the bone of the scan", got, next_step=step)
+        raise StapeskitError.of(thing, "on the bone of the scan", got, next_step=advice)
 
 
 def _levels(box: Box, local: Drawn) -> tuple[float, float]:

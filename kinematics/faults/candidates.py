@@ -141,6 +141,10 @@ def _louder(now: Round) -> list[Finding]:
             continue
         share = freedom[own] / np.sum(freedom[own])
         ratio = float(share @ now.loudness[own])
+        # one factor for all must describe them as well as one each does, by the criterion of Schwarz
+        apart = float(freedom[own] @ (np.log(ratio) - np.log(now.loudness[own])))
+        if apart > (len(own) - 1) * np.log(now.packed.values):
+            continue
         # of several channels that are louder alike, the sum of their log probabilities
         log_p = float(np.sum(now.channel_noise[own]))
         evidence = -log_p - 0.5 * float(np.log(now.packed.values))
