@@ -96,6 +96,11 @@ class Drawing:
         return self._blocks[..., middle, middle, middle]
 
     @property
+    def shape(self) -> tuple[int, ...]:
+        """Voxels of the box along z, y, x in steps."""
+        return tuple((part.stop - part.start) // self.step for part in self.box)
+
+    @property
     def shown(self) -> Labels:
         """The labels [s, a, r] of the picture."""
         return np.ascontiguousarray(self._picture)
@@ -183,13 +188,9 @@ class Drawing:
 
     def write(self, path: Path) -> None:
         """Write the labels whole, in the axes and on the voxels that they came in."""
-        import os
-
         from ct_inertia.scan.label_file import write_segmentation
 
-        draft = path.with_name(f".{path.name}.new")
-        write_segmentation(draft, [self.labels], self.labels.shape, self.scan_from_index)
-        os.replace(draft, path)
+        write_segmentation(path, [self.labels], self.labels.shape, self.scan_from_index)
 
 
 @dataclass(frozen=True)
@@ -208,20 +209,19 @@ def shown_part(labels: Labels, spacing_mm: Array) -> tuple[tuple[slice, slice, s
 
     The step is 1 unless the stapes alone has more voxels than `MOST_VOXELS`.
     """
+    shape = np.array(labels.shape)
     used = [np.flatnonzero((labels == 1).any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
-    used = [one if one.size else np.array([0, n - 1]) for one, n in zip(used, labels.shape, strict=True)]
+    first = np.array([one[0] if one.size else 0 for one in used])
+    last = np.array([one[-1] if one.size else n - 1 for one, n in zip(used, shape, strict=True)])
     for margin in (_MARGIN_MM, 0.5 * _MARGIN_MM, 0.0):
-        low, high = [], []
-        for axis, (one, n) in enumerate(zip(used, labels.shape, strict=True)):
-            away = 4 + int(margin / spacing_mm[2 - axis])
-            low.append(max(0, int(one[0]) - away))
-            high.append(min(n, int(one[-1]) + 1 + away))
-        size = np.array(high) - low
+        away = 4 + (margin / spacing_mm[::-1]).astype(int)
+        low = np.maximum(first - away, 0)
+        size = np.minimum(last + 1 + away, shape) - low
         if np.prod(size) <= MOST_VOXELS:
             break
     step = max(1, int(np.ceil((np.prod(size) / MOST_VOXELS) ** (1.0 / 3.0))))
     size = np.maximum(size // step, 1) * step
-    parts = [slice(a, a + int(n)) for a, n in zip(low, size, strict=True)]
+    parts = [slice(int(a), int(a + n)) for a, n in zip(low, size, strict=True)]
     return (parts[0], parts[1], parts[2]), step
 
 

@@ -56,8 +56,4 @@ def start(folder: Path, more: Sequence[str] = ()) -> None:
     """
     command = app_command(folder, more)
     os.chdir(Path(__file__).parents[1])  # a file app.py where the user is must not be taken for this package
-    if os.name == "nt":  # where execv returns to the shell at once
-        import subprocess
-
-        raise SystemExit(subprocess.call(command))
     os.execv(sys.executable, command)

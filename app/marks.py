@@ -1,4 +1,4 @@
-"""Points that are set by clicking: anatomical landmarks, and the marks of fiducials.csv on the plate."""
+"""Points that are set by clicking: landmarks, marks of the plate, and where the stapes is to be sought."""
 
 from __future__ import annotations
 
@@ -7,15 +7,20 @@ import io
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from app.study_file import StudyFile, replace_file, stamp
+import numpy as np
+
+from app.study_file import OwnFile, StudyFile
 from ct_inertia.frames.anatomy import LANDMARK_NAMES
+from stapeskit.faults import StapeskitError
 from stapeskit.tables import read_table
 
-LEAST = {"landmarks": 1, "plate_fiducials": 3}
-"""Keys of [scan], and from how many marks on the study names them: fewer than 3 define no plate frame."""
+FILES = {"landmarks": 1, "plate_fiducials": 3}
+"""Keys of [scan] that name a file of marks, and from how many on: fewer than 3 define no plate frame."""
+SEARCH = {"seed_mm": ("in the stapes",), "box_mm": ("a corner of a box", "the opposite corner")}
+"""Keys of [scan] that hold marks themselves, and their names."""
 
 Point = tuple[float, float, float]
-_COLUMNS = ("x_mm", "y_mm", "z_mm")
+_SCAN, _PLATE = ("x_mm", "y_mm", "z_mm"), ("x_ref_mm", "y_ref_mm", "z_ref_mm")
 
 
 class Marks:
@@ -35,24 +40,31 @@ class Marks:
     """
 
     def __init__(self, study: StudyFile) -> None:
+        self.study = study
+        self._own = {key: OwnFile(study.kept / f"{key}.csv") for key in FILES}
+        self.points: dict[str, dict[str, Point]] = {key: self._read(key) for key in FILES}
+        for key, names in SEARCH.items():
+            places = np.reshape(study.get("scan", key) or [], (-1, 3))
+            self.points[key] = {name: _point(at) for name, at in zip(names, places, strict=False)}
+        self.use_fiducials()
+
+    def _read(self, key: str) -> dict[str, Point]:
         from ct_inertia.frames.fiducials import read_plate_fiducials
         from ct_inertia.frames.landmarks import read_landmarks
 
-        self.study = study
-        self._stamps = {key: stamp(self._own(key)) for key in LEAST}
-        self.points: dict[str, dict[str, Point]] = {key: {} for key in LEAST}
-        for key, own in self.points.items():
-            path = study.file("scan", key) or self._own(key)
-            if path == self._own(key):
-                kept = _read(path) if path.exists() else {}
-                if study.get("scan", key) or len(kept) < LEAST[key]:
-                    own.update(kept)
-            elif key == "landmarks":
-                own.update({name: _point(at) for name, at in read_landmarks(path).items()})
-            else:
-                given = read_plate_fiducials(path)
-                own.update({name: _point(at) for name, at in zip(given.names, given.scan_mm, strict=True)})
-        self.use_fiducials()
+        named, own = self.study.file("scan", key), self._own[key].path
+        if named is not None and named != own:
+            if key == "landmarks":
+                return {name: _point(at) for name, at in read_landmarks(named).items()}
+            given = read_plate_fiducials(named)
+            return {name: _point(at) for name, at in zip(given.names, given.scan_mm, strict=True)}
+        if not own.is_file():
+            return {}
+        table = read_table(own, lambda _header, _file: ({*_SCAN}, {"name"}))  # it may hold none
+        names = [table.texts["name"].names[code] for code in table.texts["name"].codes]
+        places = zip(*(table.numbers[axis] for axis in _SCAN), strict=True)
+        used = named is not None or len(names) < FILES[key]
+        return {name: _point(at) for name, at in zip(names, places, strict=True) if used}
 
     def use_fiducials(self) -> None:
         """Take the names of plate marks, and their places on the plate, from the study's fiducials."""
@@ -68,7 +80,7 @@ class Marks:
     @property
     def names(self) -> list[str]:
         """Every mark that can be set."""
-        return [*LANDMARK_NAMES, *self.references]
+        return [*LANDMARK_NAMES, *(name for own in SEARCH.values() for name in own), *self.references]
 
     @property
     def placed(self) -> dict[str, Point]:
@@ -81,37 +93,37 @@ class Marks:
         Raises
         ------
         StapeskitError
-            A file was changed elsewhere.
+            A file was changed elsewhere, or the stapes is sought while labels say where it is.
         """
-        key = "landmarks" if name in LANDMARK_NAMES else "plate_fiducials"
-        points = {other: place for other, place in self.points[key].items() if other != name}
+        self.study.put("scan")  # refused where there is no scan yet
+        other = "landmarks" if name in LANDMARK_NAMES else "plate_fiducials"
+        key = next((key for key, names in SEARCH.items() if name in names), other)
+        points = {known: place for known, place in self.points[key].items() if known != name}
         if scan_mm is not None:
             points[name] = _point(scan_mm)
-        stated = key == "plate_fiducials" and all(other in self.references for other in points)
-        rows: list[list[object]] = [["name", *_COLUMNS, *(("x_ref_mm", "y_ref_mm", "z_ref_mm") * stated)]]
-        for other, place in points.items():
-            rows.append([other, *place, *(self.references[other] if stated else ())])
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows(rows)
-        self._stamps[key] = replace_file(self._own(key), text.getvalue(), self._stamps[key])
-        if not points:
-            self._own(key).unlink()
-            self._stamps[key] = None
+        value: Path | list[float] | None = None
+        if key in FILES:
+            self._write(key, points)
+            value = self._own[key].path if len(points) >= FILES[key] else None
+        elif self.study.labels_are_ours:
+            raise StapeskitError("Go back to the cut as found first: labels say where the stapes is.")
+        elif len(points) == len(SEARCH[key]):
+            value = np.sort(list(points.values()), axis=0).ravel().tolist()
+        self.study.put("scan", **{key: value})
         self.points[key] = points
-        self.study.put("scan", **{key: self._own(key) if len(points) >= LEAST[key] else None})
 
-    def _own(self, key: str) -> Path:
-        return self.study.kept / f"{key}.csv"
+    def _write(self, key: str, points: dict[str, Point]) -> None:
+        stated = key == "plate_fiducials" and all(name in self.references for name in points)
+        text = io.StringIO()
+        table = csv.writer(text, lineterminator="\n")
+        table.writerow(["name", *_SCAN, *(_PLATE if stated else ())])
+        for name, place in points.items():
+            table.writerow([name, *place, *(self.references[name] if stated else ())])
+        self._own[key].write(text.getvalue())
+        if not points:
+            self._own[key].remove()
 
 
 def _point(place: Iterable[float]) -> Point:
     x, y, z = (round(float(value), 4) for value in place)
     return x, y, z
-
-
-def _read(path: Path) -> dict[str, Point]:
-    """Read a file of marks that was written here: it may hold none."""
-    table = read_table(path, lambda _header, _file: ({*_COLUMNS}, {"name"}))
-    column = table.texts["name"]
-    places = zip(*(table.numbers[name] for name in _COLUMNS), strict=True)
-    return {column.names[code]: _point(at) for code, at in zip(column.codes, places, strict=True)}

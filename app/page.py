@@ -9,6 +9,7 @@ import marimo
 app = marimo.App(width="full", app_title="stapeskit", css_file="page.css")
 
 with app.setup:
+    import shlex
     import sys
     import traceback
     import webbrowser
@@ -19,9 +20,10 @@ with app.setup:
 
     from app import tables
     from app.drawing import PENS
-    from app.grey import beneath, first_look
+    from app.grey import grey_values
     from app.picture import VIEWS, Picture
     from app.session import Session
+    from app.study_file import StudyFile
     from fitting.options import COMPARE, DAMPING, KDOptions
     from pipeline.new_study import ASSUMED_DENSITY
     from stapeskit.command import fault_sentence
@@ -39,24 +41,21 @@ with app.setup:
 
 @app.cell
 def state():
-    session = Session(Path(mo.cli_args().get("folder") or "."))
-    picture = Picture()
+    folder = Path(mo.cli_args().get("folder") or ".").absolute()
+    session, picture = Session(StudyFile(folder / ".none.toml")), Picture()
     get_study, set_study = mo.state(0)  # counters: what depends on one is shown anew when it goes up
     get_picture, set_picture = mo.state(0)
     get_mass, set_mass = mo.state(0)
-    get_undone, set_undone = mo.state(0)
     get_marks, set_marks = mo.state(0)
-    get_points, set_points = mo.state(0)
-    get_fit, set_fit = mo.state(0)
+    get_results, set_results = mo.state(0)
     get_busy, set_busy = mo.state(False)
     get_point, set_point = mo.state(None)
     get_said, set_said = mo.state(("", "Choose a scan, or a study to go on with."))
+    shown = {"danger": False}
 
     def up(*setters):
         for setter in setters:
             setter(lambda count: count + 1)
-
-    shown = {"danger": False}
 
     def attempt(action, *setters):
         """Do what a control asks for; what is wrong is shown in the library's own words."""
@@ -73,48 +72,50 @@ def state():
             set_said(("danger" if danger else "", text or ""))
         shown["danger"] = danger
 
-    def begin(step, before=lambda: None):
+    def button(label, action, *setters, **more):
+        """Make a button; what it does may fail."""
+        return mo.ui.button(label=label, on_click=lambda _: attempt(action, *setters), **more)
+
+    def step_button(label, step, before=lambda: None):
+        """Make a button that begins a step."""
+
         def action():
             before()
             session.start(step)
             set_busy(True)
 
-        attempt(action)
+        return button(label, action, kind="success")
 
     picture.on_point = set_point
     picture.on_stroke = lambda: attempt(session.end_stroke)
     return (
-        attempt, begin, get_busy, get_fit, get_marks, get_mass, get_picture, get_point, get_points,
-        get_said, get_study, picture, session, set_busy, set_fit, set_marks, set_mass, set_picture,
-        get_undone, set_points, set_said, set_study, set_undone, up,
+        attempt, button, get_busy, get_marks, get_mass, get_picture, get_point, get_results, get_said,
+        get_study, picture, session, set_busy, set_marks, set_mass, set_picture, set_results, set_said,
+        set_study, step_button, up,
     )  # fmt: skip
 
 
 @app.cell
-def choose(attempt, session, set_fit, set_marks, set_mass, set_picture, set_points, set_study):
+def choose(attempt, session, set_marks, set_mass, set_picture, set_results, set_study):
     def chosen(files):
         def action():
-            path = Path(files[0].path)
-            session.open(path) if path.suffix == ".toml" else session.begin(path)
-            return f"{path.name} opened."
+            session.open(Path(files[0].path))
+            return f"{files[0].name} opened."
 
         if files:
-            attempt(action, set_study, set_picture, set_mass, set_marks, set_points, set_fit)
+            attempt(action, set_study, set_picture, set_mass, set_marks, set_results)
 
     browser = mo.ui.file_browser(
-        initial_path=session.folder, multiple=False, restrict_navigation=False, selection_mode="all",
-        label="A scan, or a study (.toml) to go on with", on_change=chosen,
+        initial_path=session.study.path.parent, restrict_navigation=False, selection_mode="all",
+        multiple=False, label="A scan, or a study (.toml) to go on with", on_change=chosen,
     )  # fmt: skip
     return (browser,)
 
 
 @app.cell
 def study_controls(attempt, session):
-    def stated(table, key):
-        return session.study.get(table, key) if session.study else None
-
     def put(table, key, value):
-        attempt(lambda: session.opened_study.put(table, **{key: value}))
+        attempt(lambda: session.study.put(table, **{key: value}))
 
     def as_words(value):
         """Write a value as a person types it: 900-1000, 1980-2020."""
@@ -123,7 +124,7 @@ def study_controls(attempt, session):
 
     def text_field(table, key, label, default="", several=False, **more):
         """Make a field that shows a key of the study and writes it."""
-        value = stated(table, key)
+        value = session.study.get(table, key)
 
         def typed(words):
             put(table, key, [one for one in words.split(",") if one] if several else words)
@@ -131,161 +132,128 @@ def study_controls(attempt, session):
         shown_text = default if value is None else as_words(value)
         return mo.ui.text(shown_text, label=label, on_change=typed, **more)
 
-    def ticks(table, key, label, options, value):
+    def ticks(table, key, label):
         """Make a list of which several can be ticked."""
+        known, chosen = session.choices(table, key)
         return mo.ui.multiselect(
-            options, value=value, label=label, full_width=True,
+            known, value=chosen, label=label, full_width=True,
             on_change=lambda names: put(table, key, list(names)),
         )  # fmt: skip
 
-    def button(label, action, *setters, **more):
-        """Make a button; what it does may fail."""
-        return mo.ui.button(label=label, on_click=lambda _: attempt(action, *setters), **more)
-
-    return button, put, stated, text_field, ticks
+    return put, text_field, ticks
 
 
 @app.cell
-def scan_controls(
-    attempt, begin, browser, button, get_study, picture, session, set_study, stated, text_field
-):
+def scan_controls(browser, get_study, session, step_button, text_field):
     get_study()
-    name = mo.ui.text(
-        session.study.path.stem if session.study else "", label="name",
-        on_change=lambda value: attempt(lambda: session.rename(value)),
-    )  # fmt: skip
+    stated = session.study.get
+    name = mo.ui.text(session.study.path.stem if session.study.text else "", label="name")
     density = mo.ui.text(str(stated("scan", "density_kg_m3") or ASSUMED_DENSITY), label="density, kg/m³")
     side = mo.ui.dropdown(
         ["left", "right"], value=stated("study", "side") or stated("scan", "side"), label="side"
     )
     spacing = text_field("scan", "spacing_mm", "voxel, mm", placeholder="from the scan")
-
-    def measure():
-        begin("found", lambda: session.set_scan(density.value, side.value))
-
-    def put_seed():
-        session.put_search(seed_mm=[round(float(value), 4) for value in picture.clicked()])
-
-    search_tools = {
-        "Another body was found, or none": listed(
-            button("Crosshair is in the stapes", put_seed, set_study),
-            mo.md("A box to search: the crosshair"),
-            beside(
-                button("is one corner", lambda: session.put_box_corner(0, picture.clicked()), set_study),
-                button(
-                    "is the other corner", lambda: session.put_box_corner(1, picture.clicked()), set_study
-                ),
-            ),
-            button("Forget both", session.forget_search, set_study),
-            mo.md(session.search_text()),
-        )
-    }
-    scan_step = listed(
-        browser, beside(name, density), beside(side, spacing),
-        mo.ui.button(label="Measure", kind="success", on_click=lambda _: measure()),
-        mo.accordion(search_tools),
-    )  # fmt: skip
+    measure = step_button("Measure", "found", lambda: session.set_scan(name.value, density.value, side.value))
+    hint = "Another body was found, or none? Mark a place *in the stapes*, or a box, under *3 Marks*."
+    scan_step = listed(browser, beside(name, density), beside(side, spacing), measure, mo.md(hint))
     return (scan_step,)
 
 
 @app.cell
-def cut_controls(begin, button, picture, session, set_undone):
+def cut_controls(button, picture, session, step_button):
     def back():
         session.reset()
         picture.show_all()
 
-    pen = mo.ui.radio(
-        {"look": None, **PENS}, value="look", inline=True,
-        on_change=lambda value: setattr(picture, "pen", value),
-    )  # fmt: skip
+    def chooses(name):
+        return lambda value: setattr(picture, name, value)
+
+    pen = mo.ui.radio({"look": None, **PENS}, value="look", inline=True, on_change=chooses("pen"))
     radius = mo.ui.slider(
-        1, 15, value=3, label="radius, voxels", show_value=True,
-        on_change=lambda value: setattr(picture, "radius", value),
-    )  # fmt: skip
-    ball = mo.ui.switch(
-        True, label="ball (off: this slice)", on_change=lambda value: setattr(picture, "ball", value)
+        1, 15, value=3, label="radius, voxels", show_value=True, on_change=chooses("radius")
     )
+    ball = mo.ui.switch(True, label="ball (off: this slice)", on_change=chooses("ball"))
     boundary = mo.ui.switch(False, label="boundary only", on_change=picture.show_boundary)
-    undo = button("Undo", lambda: picture.show_change(session.undo()), set_undone)
-    again = mo.ui.button(label="Measure again", kind="success", on_click=lambda _: begin("cut"))
-    reset = button("Back to the cut as found", back, set_undone)
+    undo = button("Undo", lambda: picture.show_change(session.undo()))
+    again, reset = step_button("Measure again", "cut"), button("Back to the cut as found", back)
     cut_step = listed(pen, beside(radius, ball), boundary, beside(undo, reset), again)
     view = mo.ui.radio(VIEWS, value=VIEWS[0], inline=True, on_change=picture.set_view)
     return cut_step, view
 
 
 @app.cell
-def mark_controls(button, get_points, get_study, picture, session, set_marks):
-    get_study(), get_points()  # the names come from the fiducials of the study
+def mark_controls(button, get_results, get_study, picture, session, set_marks):
+    get_study(), get_results()  # the names come from the fiducials of the study
 
-    def put_mark(place):
-        if session.marks is None:
-            raise StapeskitError("Choose a scan first.")
-        session.marks.put(mark.value, place)
-
-    names = session.marks.names if session.marks else ["anterior"]
-    mark = mo.ui.dropdown(names, value=names[0], label="the crosshair is at")
-    set_mark = button("Set mark", lambda: put_mark(picture.clicked()), set_marks)
-    marks_step = listed(mark, beside(set_mark, button("Remove it", lambda: put_mark(None), set_marks)))
+    mark = mo.ui.dropdown(session.marks.names, value="anterior", label="the crosshair is at")
+    set_mark = button("Set mark", lambda: session.marks.put(mark.value, picture.clicked()), set_marks)
+    remove = button("Remove it", lambda: session.marks.put(mark.value, None), set_marks)
+    marks_step = listed(mark, beside(set_mark, remove))
     return (marks_step,)
 
 
 @app.cell
-def measurement_controls(attempt, begin, get_points, get_study, session, set_points, stated, ticks):
-    get_study(), get_points()
+def measurement_controls(attempt, get_results, get_study, session, set_results, step_button, ticks):
+    get_study(), get_results()
 
     def pick(key, label):
-        files, value = session.files(), stated("ldv", key)
+        files, value = session.files(), session.study.get("ldv", key)
         chosen = value[0] if isinstance(value, list) else value
         return mo.ui.dropdown(
             files, value=chosen if chosen in files else None, allow_select_none=True, label=label,
-            on_change=lambda name: attempt(lambda: session.set_measurement(key, name), set_points),
+            on_change=lambda name: attempt(lambda: session.set_measurement(key, name), set_results),
         )  # fmt: skip
 
     measured = session.content("points")
     measurement_step = listed(
         pick("file", "vibrometer file"), pick("points", "points"), pick("fiducials", "fiducials"),
-        mo.ui.button(label="Look at it", kind="success", on_click=lambda _: begin("points")),
+        step_button("Look at it", "points"),
         mo.md(tables.registration_text(measured) if measured else ""),
-        ticks("ldv", "leave_out", "leave out", *session.leave_out_choice()),
+        ticks("ldv", "leave_out", "leave out"),
     )  # fmt: skip
     return measured, measurement_step
 
 
 @app.cell
-def fit_controls(begin, button, get_fit, get_study, put, session, stated, text_field, ticks):
-    get_study(), get_fit()
+def fit_controls(button, get_results, get_study, put, session, step_button, text_field, ticks):
+    get_study(), get_results()
     keys, laws = {entry.key: entry for entry in KDOptions.entries()}, [*DAMPING, COMPARE]
     damping = mo.ui.dropdown(
-        laws, value=stated("fit", "damping") or laws[0], label="damping",
+        laws, value=session.study.get("fit", "damping") or laws[0], label="damping",
         on_change=lambda value: put("fit", "damping", value),
     )  # fmt: skip
     other = mo.ui.dropdown(session.other_results(), label="beside it", allow_select_none=True)
+
+    def show_report():
+        path = session.study.out / "report.html"
+        if not path.is_file():
+            raise StapeskitError("There is no report yet: press Fit first.")
+        webbrowser.open(path.as_uri())
+
+    report = button("Open the report", show_report)
     fit_step = listed(
         text_field("fit", "dof", "degrees of freedom", ",".join(keys["dof"].default)),
         damping,
         text_field("fit", "exclude_hz", "leave out, Hz", several=True, placeholder="900-1000, 1980-2020"),
-        ticks("study", "confirmed", "checked and right", *session.reasons()),
-        mo.ui.button(label="Fit", kind="success", on_click=lambda _: begin("fit")),
-        beside(button("Open the report", lambda: webbrowser.open(session.report().as_uri()) and None), other),
+        ticks("study", "confirmed", "checked and right"),
+        step_button("Fit", "fit"),
+        beside(report, other),
     )
     return fit_step, other
 
 
 @app.cell
-def show_picture(get_picture, picture, session, attempt):
+def show_picture(attempt, get_picture, picture, session):
     get_picture()
 
     def show():
-        if session.drawing is not None and session.scan is not None:
-            picture.show(beneath(session.scan, session.drawing), session.drawing.affine, session.drawing)
-        elif session.drawing is not None:
-            picture.show(60 * session.drawing.shown, session.drawing.affine, session.drawing)
-        elif session.scan is not None:
-            picture.show(*first_look(session.scan))
+        drawing = session.drawing
+        if session.scan is not None:
+            picture.show(*grey_values(session.scan, drawing), drawing)
+        elif drawing is not None:
+            picture.show(60 * drawing.shown, drawing.affine, drawing)
 
-    if session.study is not None:
-        attempt(show)
+    attempt(show)
     return
 
 
@@ -299,7 +267,7 @@ def show_surfaces(get_mass, picture, session):
 @app.cell
 def show_marks(get_marks, picture, session):
     get_marks()
-    placed = session.marks.placed if session.marks else {}
+    placed = session.marks.placed
     picture.show_marks(list(placed.values()))
     marks_table = mo.Html(tables.mark_table(placed)) if placed else None
     return (marks_table,)
@@ -307,7 +275,7 @@ def show_marks(get_marks, picture, session):
 
 @app.cell
 def show_points(measured, picture):
-    picture.show_points(measured["beams"] if measured and measured["in_scan"] else [])
+    picture.show_points(measured["points"] if measured else [])
     return
 
 
@@ -339,44 +307,28 @@ def layout_side(cut_step, fit_step, marks_step, marks_table, measurement_step, s
 
 
 @app.cell
-def layout_mass(get_mass, get_undone, session):
-    get_mass(), get_undone()
-    mo.Html(tables.mass_table(session.masses)) if session.masses else mo.md("")
-    return
+def layout_results(attempt, get_mass, measured, other, session):
+    get_mass()
+    _parts, _fitted = [], session.content("fit")
 
-
-@app.cell
-def layout_beams(measured):
-    mo.Html(tables.beam_table(measured)) if measured else mo.md("")
-    return
-
-
-@app.cell
-def layout_fit(get_fit, session):
-    get_fit()
-    fitted = session.content("fit")
-    mo.vstack(
-        [
-            mo.Html(fitted["html"]),
-            mo.hstack(tables.curves(fitted), wrap=True, justify="start"),
-            mo.Html(page.text(session.repeat_text())),
-        ]
-    ) if fitted else mo.md("")
-    return
-
-
-@app.cell
-def layout_compare(attempt, other, session):
-    def rows():
+    def compared():
         from pipeline.compare import compare
 
         found = compare(session.study.out, session.study.out.with_name(other.value))
-        return page.table(("", "this", other.value, "difference", "p"), found.rows())
+        _parts.append(mo.Html(page.table(("", "this", other.value, "difference", "p"), found.rows())))
 
-    compared = []
+    if session.mass:
+        _parts.append(mo.Html(tables.mass_table(session.mass)))
+    if measured:
+        _parts.append(mo.Html(tables.beam_table(measured)))
+    if _fitted:
+        _parts.append(mo.Html(_fitted["html"]))
+        _parts.append(mo.hstack(tables.curves(_fitted["responses"]), wrap=True, justify="start"))
+        _again = f"All results: {session.study.out}. Again: scan2kd {shlex.quote(str(session.study.path))}"
+        _parts.append(mo.Html(page.text(_again)))
     if other.value:
-        attempt(lambda: compared.append(rows()))
-    mo.Html("".join(compared))
+        attempt(compared)
+    mo.vstack(_parts)
     return
 
 
@@ -387,14 +339,12 @@ def clock(get_busy):
 
 
 @app.cell
-def progress(
-    get_said, session, set_busy, set_fit, set_marks, set_mass, set_picture, set_points, set_said, tick, up
-):
+def progress(get_said, session, set_busy, set_mass, set_picture, set_results, set_said, tick, up):
     changed = {
         "found": (set_mass, set_picture),
         "cut": (set_mass,),
-        "points": (set_points, set_marks),
-        "fit": (set_fit, set_mass),
+        "points": (set_results,),
+        "fit": (set_results, set_mass),
     }
 
     def status():

@@ -80,7 +80,6 @@ class Picture(NiiVue):  # type: ignore[misc]
         self.on_point: Callable[[Array], Any] = lambda _: None
         self.on_stroke: Callable[[], Any] = lambda: None
         self._drawing: Drawing | None = None
-        self._drawing_file: Path | None = None
         self._files = tempfile.TemporaryDirectory(prefix="stapeskit_app_")
         self._number = 0
         self._groups: dict[str, list[Mesh]] = {}
@@ -101,9 +100,6 @@ class Picture(NiiVue):  # type: ignore[misc]
         """Show grey values [s, a, r] and, on the same voxels, the labels of a drawing."""
         path = write_nifti(self._next("grey.nii"), grey, affine)
         self._drawing = drawing
-        self._drawing_file = None
-        if drawing is not None:
-            self._drawing_file = write_nifti(self._next("labels.nii"), drawing.shown, drawing.affine)
         self.close_drawing()
         self.load_volumes([{"path": path}])
 
@@ -117,10 +113,8 @@ class Picture(NiiVue):  # type: ignore[misc]
     def show_all(self) -> None:
         """Draw every label anew."""
         if self._drawing is not None:
-            self._drawing_file = write_nifti(
-                self._next("labels.nii"), self._drawing.shown, self._drawing.affine
-            )
-            self.load_drawing(str(self._drawing_file))
+            path = self._next("labels.nii")
+            self.load_drawing(str(write_nifti(path, self._drawing.shown, self._drawing.affine)))
 
     def show_surfaces(self, files: Mapping[str, Path]) -> None:
         """Show the surfaces of stapes and plate, scan coordinates, mm."""
@@ -131,18 +125,13 @@ class Picture(NiiVue):  # type: ignore[misc]
         """Show marks in scan coordinates, mm."""
         self._show_group("marks", [(balls(places), _COLOURS["marks"])] if places else [])
 
-    def show_points(self, beams: Sequence[Mapping[str, Any]]) -> None:
-        """Show measured points, coloured by the worst verdict of their beams."""
-        worst: dict[tuple[float, ...], str] = {}
-        for beam in beams:
-            place = tuple(beam["scan_mm"])
-            if np.all(np.isfinite(place)) and worst.get(place, "ok") in ("ok", "unused"):
-                worst[place] = beam["verdict"]
-        colours = {place: _VERDICTS.get(word, _SUSPECT) for place, word in worst.items()}
-        groups = {
-            colour: [p for p, own in colours.items() if own == colour] for colour in {*colours.values()}
-        }
-        self._show_group("points", [(balls(places), colour) for colour, places in groups.items()])
+    def show_points(self, points: Sequence[tuple[str, str, Sequence[float]]]) -> None:
+        """Show measured points (body, verdict, place in scan coordinates, mm), coloured by their verdicts."""
+        places: dict[tuple[int, ...], list[Sequence[float]]] = {}
+        for _, verdict, place in points:
+            if np.all(np.isfinite(place)):
+                places.setdefault(_VERDICTS.get(verdict, _SUSPECT), []).append(place)
+        self._show_group("points", [(balls(own), colour) for colour, own in places.items()])
 
     def _show_group(self, group: str, surfaces: Sequence[tuple[Any, tuple[int, ...]]]) -> None:
         """Show a group of surfaces beside the others.
@@ -175,8 +164,7 @@ class Picture(NiiVue):  # type: ignore[misc]
     def _handle_custom_msg(self, content: Mapping[str, Any], _buffers: Any) -> None:
         event, data = content.get("event"), content.get("data") or {}
         if event == "image_loaded":
-            if self._drawing_file is not None:
-                self.load_drawing(str(self._drawing_file))
+            self.show_all()
         elif event == "location_change":
             self.point = np.array(data["mm"][:3], dtype=float) * RAS
             if self.pen is not None and self._drawing is not None and data["ax_cor_sag"] < 3:

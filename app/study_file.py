@@ -1,77 +1,108 @@
-"""The study that the page edits: a file of ``scan2kd``, saved after every change, its comments kept."""
+"""The study that the page edits, and the files that it keeps: whole, and never over another one's changes."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import tomlkit
 
 from ct_inertia.options import MassOptions
-from pipeline.study import TABLES
-from stapeskit.documents import read_json
+from pipeline.study import TABLES, About, scan_of_ear
 from stapeskit.faults import StapeskitError
 from stapeskit.options import read_toml
+from stapeskit.documents import read_json
 
 SEARCH = ("labels", "threshold", "seed_mm", "box_mm")
 """Keys of [scan] that the stapes is sought by; labels that are drawn take their place."""
 
 
-@dataclass
-class StudyFile:
-    """A study in memory and on disk; everything else of it that the page keeps is in NAME_app/.
+class OwnFile:
+    """A file that this page writes; `path` is where it is."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._seen = _stamp(path)
+
+    def write(self, content: str | Callable[[Path], object]) -> None:
+        """Write a text, or what a function writes to a path, so that the file is there whole or as it was.
+
+        Raises
+        ------
+        StapeskitError
+            Another tab, or a program, has changed the file since it was read or written here.
+        """
+        if self.path.exists() and _stamp(self.path) != self._seen:
+            step = "Open the study again: what is there is kept"
+            got = "changed in another tab or program"
+            raise StapeskitError.of(self.path.name, "as this page left it", got, "", step)
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        draft = self.path.with_name(f".{self.path.name}.new")
+        draft.write_text(content, encoding="utf-8") if isinstance(content, str) else content(draft)
+        os.replace(draft, self.path)
+        self._seen = _stamp(self.path)
+
+    def remove(self) -> None:
+        """Remove it."""
+        self.path.unlink(missing_ok=True)
+        self._seen = None
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    """Return modification time and size of a file, to see whether it changed; None without a file."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_mtime_ns, status.st_size
+
+
+class StudyFile(OwnFile):
+    """A study: NAME.toml, saved after every change, its comments kept.
+
+    What is wrong with a value, a name or the file is raised as `StapeskitError`; nothing is changed then.
 
     Attributes
     ----------
-    path : Path
-        The study file, NAME.toml.
     text : str
         Its content as it is here.
-    seen : tuple or None
-        The `stamp` of the file when it was last read or written here.
+    kept : Path
+        NAME_app/, the folder of hand work and of what the steps found.
+    found, cut : Path
+        Folders of the mass as found without hand work, and with the labels that were drawn.
+    out : Path
+        Folder of ``scan2kd NAME.toml``.
     """
 
-    path: Path
-    text: str
-    seen: tuple[int, int] | None = None
+    def __init__(self, path: Path, text: str = "") -> None:
+        super().__init__(path)
+        self.text = text
+        self.kept, self.out = (path.with_name(f"{path.stem}_{name}") for name in ("app", "out"))
+        self.found, self.cut = self.kept / "found", self.kept / "cut"
 
     @classmethod
     def read(cls, path: Path) -> StudyFile:
-        """Open a study.
-
-        Raises
-        ------
-        StapeskitError
-            The file is missing or no TOML, or holds something else than tables.
-        """
-        path = Path(path).absolute()
-        for name, value in read_toml(path).items():
+        """Open a study, which must be TOML that holds tables alone."""
+        study = cls(Path(path).absolute())
+        for name, value in read_toml(study.path).items():
             if not isinstance(value, Mapping):
-                raise StapeskitError.of(f"the entry {name}", "in a table of a study", value, path.name)
-        seen = stamp(path)
-        return cls(path, path.read_text(encoding="utf-8-sig"), seen)
+                raise StapeskitError.of(f"the entry {name}", "in a table of a study", value, study.path.name)
+        study.text = study.path.read_text(encoding="utf-8-sig")
+        return study
 
     @classmethod
-    def new(cls, folder: Path, name: str) -> StudyFile:
-        """Begin a study of a name; its file is written with the first change.
-
-        Raises
-        ------
-        StapeskitError
-            The name cannot be that of a file, or there is a study of that name.
-        """
+    def new(cls, folder: Path, name: str, text: str = "") -> StudyFile:
+        """Begin a study of a name that is free; its file is written with the first change."""
         name = name.strip()
         if not name or name.startswith(".") or set(name) & set('/\\:*?"<>|') or not name.isprintable():
             step = "Write for example ear1"
             raise StapeskitError.of("the name", "one that a file can have", name or "nothing", "", step)
-        path = Path(folder).absolute() / f"{name}.toml"
-        if path.exists():
+        study = cls(Path(folder).absolute() / f"{name}.toml", text)
+        if study.path.exists():
             step = "Open it, or choose another name"
-            raise StapeskitError.of("the name", "that of no study in this folder", path.name, "", step)
-        study = cls(path, "")
+            raise StapeskitError.of("the name", "that of no study in this folder", study.path.name, "", step)
         study.text = study.changed("study", name=name)
         return study
 
@@ -79,26 +110,6 @@ class StudyFile:
     def tables(self) -> dict[str, dict[str, Any]]:
         """The tables of the study: study, scan, ldv, fit."""
         return tomlkit.parse(self.text).unwrap()
-
-    @property
-    def kept(self) -> Path:
-        """Folder of what the page keeps: hand work, and what its steps found."""
-        return self.path.with_name(f"{self.path.stem}_app")
-
-    @property
-    def found(self) -> Path:
-        """Folder of the mass as found without hand work."""
-        return self.kept / "found"
-
-    @property
-    def cut(self) -> Path:
-        """Folder of the mass with the labels that were drawn."""
-        return self.kept / "cut"
-
-    @property
-    def out(self) -> Path:
-        """Folder of ``scan2kd NAME.toml``."""
-        return self.path.with_name(f"{self.path.stem}_out")
 
     @property
     def labels_are_ours(self) -> bool:
@@ -120,42 +131,27 @@ class StudyFile:
         document = tomlkit.parse(self.text)
         own = document.setdefault(table, tomlkit.table())
         for key, value in values.items():
+            if isinstance(value, Path):
+                near = value.absolute().is_relative_to(self.path.parent)
+                value = (value.absolute().relative_to(self.path.parent) if near else value).as_posix()
             if value is None or value in ("", [], ()):
                 own.pop(key, None)
             elif own.get(key) != value:
-                own[key] = self._relative(value) if isinstance(value, Path) else value
+                own[key] = value
         if not own:
             document.pop(table)
         return tomlkit.dumps(document)
 
     def put(self, table: str, **values: Any) -> None:
-        """Set keys of a table and save.
-
-        Raises
-        ------
-        StapeskitError
-            A value is not what it must be, or the file was changed elsewhere; nothing is changed then.
-        """
-        new = StudyFile(self.path, self.changed(table, **values))
-        TABLES[table].from_study(new.tables.get(table, {}), self.path.name, self.path.parent)
-        if new.text != self.text or not self.path.exists():
-            self.save(new.text)
-
-    def save(self, text: str) -> None:
-        """Write the study.
-
-        Raises
-        ------
-        StapeskitError
-            Another tab, or an editor, has changed the file since it was read or written here.
-        """
-        self.seen = replace_file(self.path, text, self.seen)
-        self.text = text
-
-    def _relative(self, path: Path) -> str:
-        path, folder = Path(path).absolute(), self.path.parent
-        inside = path.is_relative_to(folder)
-        return path.relative_to(folder).as_posix() if inside else path.as_posix()
+        """Set keys of a table and save, if they are what they must be."""
+        text = self.changed(table, **values)
+        tables = StudyFile(self.path, text).tables
+        if not {"file", "labels"} & tables.get("scan", {}).keys():
+            raise StapeskitError("Choose a scan, or open a study, first.")
+        TABLES[table].from_study(tables.get(table, {}), self.path.name, self.path.parent)
+        if text != self.text or not self.path.exists():
+            self.write(text)
+            self.text = text
 
     def put_labels(self, path: Path | None) -> None:
         """Name the labels that were drawn in place of what the stapes was found by, or that again (None)."""
@@ -169,61 +165,11 @@ class StudyFile:
         return values | ({"labels": Path(values["labels"])} if values["labels"] else {})
 
     def mass_options(self, *, hand_work: bool) -> MassOptions:
-        """Return the options of ct2mass; without hand work the labels that were drawn here are left out.
-
-        Raises
-        ------
-        StapeskitError
-            What is wrong with the table, or both tables that may name the side contradict each other.
-        """
-        tables = self.tables
+        """Return the options of ct2mass; without hand work the labels that were drawn here are left out."""
+        tables, place = self.tables, (self.path.name, self.path.parent)
         values = dict(tables.get("scan", {}))
         if not hand_work and self.labels_are_ours:
             values |= self._search()
-        side = tables.get("study", {}).get("side")
-        if side and values.get("side", side) != side:
-            got = f"{side} in [study] and {values['side']} in [scan]"
-            raise StapeskitError.of("the side of the ear", "stated once or alike", got, self.path.name)
-        values = {
-            key: value for key, value in {**values, **({"side": side} if side else {})}.items() if value
-        }
-        return MassOptions.from_study(values, self.path.name, self.path.parent)
-
-
-def replace_file(path: Path, content: str, seen: tuple[int, int] | None) -> tuple[int, int] | None:
-    """Write a file so that it is there whole or as it was, and return its `stamp`.
-
-    Raises
-    ------
-    StapeskitError
-        It is not as it was seen last.
-    """
-    check_unchanged(path, seen)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(f".{path.name}.new")
-    draft.write_text(content, encoding="utf-8")
-    os.replace(draft, path)
-    return stamp(path)
-
-
-def check_unchanged(path: Path, seen: tuple[int, int] | None) -> None:
-    """Refuse to write over a file that somebody else has changed since it was read or written here.
-
-    Raises
-    ------
-    StapeskitError
-        It has changed, or appeared.
-    """
-    if path.exists() and stamp(path) != seen:
-        step = "Open the study again: what is there is kept"
-        got = "changed in another tab or program"
-        raise StapeskitError.of(path.name, "as this page left it", got, "", step)
-
-
-def stamp(path: Path) -> tuple[int, int] | None:
-    """Return modification time and size of a file, to see whether it changed; None without a file."""
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    return status.st_mtime_ns, status.st_size
+        stated = {key: value for key, value in values.items() if value is not None}
+        about = About.from_study(tables.get("study", {}), *place)
+        return scan_of_ear(about, MassOptions.from_study(stated, *place), self.path.name)

@@ -24,9 +24,7 @@ def mass_table(masses: Mapping[str, Mapping[str, Any]]) -> Markup:
     units, rows = matrix_units("M", DOF_NAMES), []
     for name, mass in masses.items():
         matrix, sd = (mass["mass_matrix"].get(key) for key in ("matrix_si", "standard_deviation_si"))
-        entries = [
-            Quantity(matrix[at][at], None if sd is None else sd[at][at], units[at][at]) for at in _SHOWN
-        ]
+        entries = [Quantity(matrix[at][at], sd and sd[at][at], units[at][at]) for at in _SHOWN]
         rows.append((_CUTS[name], *entries, VOLUME.text(mass["volume_m3"], ".5f")))
     return page.table(("cut", *_SHOWN.values(), "volume"), rows)
 
@@ -37,21 +35,21 @@ def mark_table(placed: Mapping[str, Sequence[float]]) -> Markup:
     return page.table(("mark", "scan x, y, z, mm"), rows, words=True)
 
 
-def beam_table(points: Mapping[str, Any]) -> Markup:
+def beam_table(measured: Mapping[str, Any]) -> Markup:
     """Return every beam with its verdict, to be unfolded."""
-    keys = ("body", "point", "beam", "verdict", "estimate")
-    rows = [(*(beam[key] for key in keys), f"{beam['residual_um']:.3g}") for beam in points["beams"]]
-    return page.folded("beams", page.table((*keys, "residual, µm"), rows, words=True))
+    head = ("body", "point", "beam", "verdict", "estimate", "residual, µm")
+    rows = [(*words, f"{residual:.3g}") for *words, residual in measured["beams"]]
+    return page.folded("beams", page.table(head, rows, words=True))
 
 
-def registration_text(points: Mapping[str, Any]) -> str:
+def registration_text(measured: Mapping[str, Any]) -> str:
     """Return how well the fiducials fit, and which one worst."""
-    count = len({(beam["body"], beam["point"]) for beam in points["beams"]})
-    if points["rms_um"] is None:
+    count = len({(body, point) for body, point, *_ in measured["beams"]})
+    if measured["rms_um"] is None:
         return f"{count} points; no fiducials tie them to the scan."
-    name, worst = max(points["fiducials"].items(), key=lambda pair: pair[1])
+    name, worst = max(measured["fiducials"].items(), key=lambda pair: pair[1])
     return (
-        f"{count} points laid into the scan; the fiducials fit within {points['rms_um']:.0f} µm rms, worst "
+        f"{count} points laid into the scan; the fiducials fit within {measured['rms_um']:.0f} µm rms, worst "
         f"{name} with {worst:.0f} µm."
     )
 
@@ -64,13 +62,12 @@ def notice_list(notices: Mapping[str, str]) -> Markup | str:
     return page.folded(f"{len(notices)} {plural}", page.notices(Notice(*pair) for pair in notices.items()))
 
 
-def curves(fit: Mapping[str, Any]) -> list[altair.VConcatChart]:
+def curves(responses: Mapping[str, Sequence[Any]]) -> list[altair.VConcatChart]:
     """Return a chart a motion: amplitude above phase, measured (dots) and fitted (lines), to be zoomed."""
     import altair as alt
     import pandas as pd
 
-    parts = [pd.DataFrame({**row, "frequency, Hz": fit["freq_hz"]}) for row in fit["responses"]]
-    table = pd.concat(parts, ignore_index=True)
+    table = pd.DataFrame(responses)
     x = alt.X("frequency, Hz", scale=alt.Scale(type="log", nice=False))
     columns = ["kind", "frequency, Hz", "amplitude", "phase"]
 

@@ -8,7 +8,7 @@ from stapeskit.command import Outcome, run
 
 TYPE_CHECKING = False  # everything is imported on first use, so that the help is quick
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from pathlib import Path
     from typing import NoReturn
 
 _HELP = """\
@@ -33,12 +33,6 @@ try it:
   stapeskit sample ear
   scan2kd ear/study.toml --out results
 """
-_OWN = {
-    "sample": "sample DIR [--force]",
-    "new": "new [DIR] [--yes] [--force]",
-    "app": "app [FOLDER] [--no-browser] [--port NUMBER]",
-    "compare": "compare A [B] [--what-if K*10|D*2|mass+5mg@head ...] [--out DIR] [--force]",
-}
 _COMMANDS = {
     "ct2mass": "ct_inertia.cli",
     "points2dof": "kinematics.cli",
@@ -70,10 +64,7 @@ def work(words: list[str]) -> Outcome | None:
         outcome: Outcome | None = import_module(_COMMANDS[word]).work(rest)
         return outcome
     if word in _OWN:
-        if {"-h", "--help"} & {*rest}:
-            sys.stdout.write(f"usage: stapeskit {_OWN[word]}\n\nstapeskit --help says what it does.\n")
-            return None
-        return {"sample": _sample, "new": _new, "app": _app, "compare": _compare}[word](rest)
+        return _OWN[word](rest)
     from stapeskit.faults import StapeskitError
     from stapeskit.options import unknown
 
@@ -82,84 +73,63 @@ def work(words: list[str]) -> Outcome | None:
     raise StapeskitError.of("the command", f"one of {', '.join(known)}", word, "", step)
 
 
-def _folders(
-    words: Sequence[str], command: str, counts: tuple[int, ...], flags: tuple[str, ...]
-) -> list[str]:
-    """Return the words that are no flags, when there are as many as the command takes."""
-    from stapeskit.faults import StapeskitError
-
-    folders = [word for word in words if word not in flags]
-    if len(folders) not in counts or any(word.startswith("-") for word in folders):
-        got = " ".join(words) or "nothing"
-        raise StapeskitError.of(f"stapeskit {command}", f"written as: stapeskit {_OWN[command]}", got)
-    return folders
-
-
-def _sample(words: Sequence[str]) -> None:
-    """Copy the sample study into the folder that the words name."""
-    from pathlib import Path
-
+def _sample(words: list[str]) -> None:
+    from pipeline.command_options import SampleOptions
     from pipeline.sample import copy_sample
+    from stapeskit.command_line import parse
 
-    target = Path(_folders(words, "sample", (1,), ("--force",))[0])
-    files = copy_sample(target, force="--force" in words)
+    (chosen,) = parse("stapeskit sample", "Copy a whole simulated ear.", [SampleOptions], words)
+    files = copy_sample(chosen.folder, force=chosen.force)
     sys.stdout.write(
-        f"{len(files)} files of a simulated ear written into {target}. Run it with:\n"
-        f"  scan2kd {target / 'study.toml'} --out results\n"
+        f"{len(files)} files of a simulated ear written into {chosen.folder}. Run it with:\n"
+        f"  scan2kd {chosen.folder / 'study.toml'} --out results\n"
     )
 
 
-def _new(words: Sequence[str]) -> None:
-    """Write a study.toml for the files of a folder; ask what no file says, unless --yes."""
-    from pathlib import Path
-
+def _new(words: list[str]) -> None:
+    from pipeline.command_options import NewOptions
     from pipeline.new_study import needs, new_study
+    from stapeskit.command_line import parse
 
-    folders = _folders(words, "new", (0, 1), ("--yes", "--force"))
-    ask = None if "--yes" in words or not sys.stdin.isatty() else input
-    path = new_study(Path(*folders), ask, force="--force" in words)
+    (chosen,) = parse("stapeskit new", "Write a study.toml for the files of a folder.", [NewOptions], words)
+    ask = None if chosen.yes or not sys.stdin.isatty() else input
+    path = new_study(chosen.folder, ask, force=chosen.force)
     missing = needs(path)
     still = f"Before it can run:\n{missing}\n" if missing else ""
     sys.stdout.write(f"{path} written. {still}Look at it, then run: scan2kd {path}\n")
 
 
-def _app(words: Sequence[str]) -> None:
+def _app(words: list[str]) -> None:
     """Serve the page of the app until Ctrl-C; this process becomes the server."""
     from importlib import import_module
-    from pathlib import Path
 
-    rest, given = _taken(words, "app", ("--port",))
-    folders = _folders(rest, "app", (0, 1), ("--no-browser",))
-    more: list[str] = []
-    for port in given["--port"][-1:]:
-        if not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
-            from stapeskit.faults import StapeskitError
+    from pipeline.command_options import AppOptions
+    from stapeskit.command_line import parse
 
-            raise StapeskitError.of("--port", "a number from 1 to 65535", port)
-        more = ["--port", port]
-    if "--no-browser" in rest:
-        more.append("--headless")
+    text = "The whole chain in one page in the browser; Ctrl-C ends it."
+    (chosen,) = parse("stapeskit app", text, [AppOptions], words)
+    more = ["--port", str(chosen.port)] if chosen.port else []
+    more += ["--headless"] if chosen.no_browser else []
     # The room of the app is above this one: it is imported only when its command is used.
-    import_module("app.launch").start(Path(*folders), more)
+    import_module("app.launch").start(chosen.folder, more)
 
 
-def _compare(words: Sequence[str]) -> Outcome:
+def _compare(words: list[str]) -> Outcome:
     """Compare two results, or predict the effect of changes on one or both."""
-    from pathlib import Path
-
+    from pipeline.command_options import CompareOptions
     from pipeline.compare import compare, read_folders, write_comparison
     from pipeline.what_if import SENTENCE, effect, read_change
+    from stapeskit.command_line import parse
 
-    rest, given = _taken(words, "compare", ("--out", "--what-if"))
-    out = Path(given["--out"][-1] if given["--out"] else "compare_out")
-    changes = [read_change(change) for change in given["--what-if"]]
-    folders = [Path(word) for word in _folders(rest, "compare", (1, 2) if changes else (2,), ("--force",))]
+    text = "Two results side by side, or what a change would do to one or both."
+    (chosen,) = parse("stapeskit compare", text, [CompareOptions], words)
+    changes, folders = [read_change(change) for change in chosen.what_if], chosen.folders
     inputs = [folder / name for folder in folders for name in ("mass.json", "kd.json", "dof.h5")]
     rows: list[tuple[str, str]] = []
     files: list[Path] = []
     if len(folders) == 2:
-        found = compare(folders[0], folders[1])
-        files += write_comparison(found, out, inputs, "--force" in rest)
+        found = compare(*folders)
+        files += write_comparison(found, chosen.out, inputs, chosen.force)
         rows += [(f"verdict of {ear.name}", ear.verdict or "not stated") for ear in found.ears]
         rows += [
             (name, f"{first} | {second}; difference {change}, p = {p}")
@@ -168,31 +138,13 @@ def _compare(words: Sequence[str]) -> Outcome:
     if changes:
         read = list(zip(read_folders(folders), folders, strict=True))
         effects = [effect(ear, folder, change) for ear, folder in read for change in changes]
-        files += write_comparison(effects, out, inputs, "--force" in rest)
+        files += write_comparison(effects, chosen.out, inputs, chosen.force)
         rows += [(f"{one.name}, {place}", text) for one in effects for place, text in one.rows()]
         rows.append(("mind", SENTENCE))
     return Outcome("results side by side", rows, (), files)
 
 
-def _taken(
-    words: Sequence[str], command: str, options: tuple[str, ...]
-) -> tuple[list[str], dict[str, list[str]]]:
-    """Return the words without options and their values, and the values of each option."""
-    from stapeskit.faults import StapeskitError
-
-    rest, given = list[str](), {option: list[str]() for option in options}
-    waiting = iter(words)
-    for word in waiting:
-        option, equal, value = word.partition("=")
-        if option in given:
-            value = value if equal else next(waiting, "")
-            if not value or value.startswith("--"):
-                wanted = f"followed by its value: stapeskit {_OWN[command]}"
-                raise StapeskitError.of(option, wanted, value or "nothing")
-            given[option].append(value)
-        else:
-            rest.append(word)
-    return rest, given
+_OWN = {"sample": _sample, "new": _new, "app": _app, "compare": _compare}
 
 
 def main() -> NoReturn:

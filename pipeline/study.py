@@ -134,13 +134,23 @@ def read_study(path: Path) -> Study:
                 read[key] = table.from_study(own, name, path.absolute().parent)
     faults += _unknown_warnings(read["study"].confirmed, name) if "study" in read else []
     raise_all(faults)
-    about, scan = read["study"], read["scan"]
-    sides = {about.side, scan.side} - {None}
-    if len(sides) > 1:
-        got = f"{about.side} in [study] and {scan.side} in [scan]"
-        raise StapeskitError.of("the side of the ear", "stated once or alike", got, name)
-    scan = replace(scan, side=about.side or scan.side)
+    about = read["study"]
+    scan = scan_of_ear(about, read["scan"], name)
     return Study(path.absolute(), about, scan, read["ldv"], read["fit"])
+
+
+def scan_of_ear(about: About, scan: MassOptions, file: str) -> MassOptions:
+    """Return the options of the scan with the side of the ear, which either table may name.
+
+    Raises
+    ------
+    StapeskitError
+        Both name it, and another one.
+    """
+    if about.side and scan.side and about.side != scan.side:
+        got = f"{about.side} in [study] and {scan.side} in [scan]"
+        raise StapeskitError.of("the side of the ear", "stated once or alike", got, file)
+    return replace(scan, side=about.side or scan.side)
 
 
 def _without_other_tables(

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.cohort.compatible import cohort_faults, reasons_to_exclude, shared_scans
+from pipeline.cohort.compatible import cohort_faults, reasons_to_exclude
 from pipeline.cohort.components import Components
 from pipeline.cohort.covariates import covariates_of, described
 from pipeline.cohort.ears import Ear, read_ears, unique_names
-from pipeline.cohort.law import LogPairs
-from pipeline.cohort.laws import LEAST_EARS, CohortLaw, components_of, fit_laws, unresolved
+from pipeline.cohort.law import Law, LogPairs
+from pipeline.cohort.laws import LEAST_EARS, components_of, fit_laws, unresolved
 from pipeline.cohort.logs import LogTable, log_table
 from pipeline.cohort.predict import Prediction, Predictor
 from stapeskit.faults import StapeskitError, raise_all
@@ -49,7 +49,7 @@ class Cohort(Result):
     ears: tuple[Ear, ...]
     excluded: tuple[tuple[str, str], ...]
     table: LogTable | None = None
-    laws: tuple[CohortLaw, ...] = ()
+    laws: tuple[Law, ...] = ()
     components: Components | None = None
     notices: tuple[Notice, ...] = ()
     _predictors: dict[tuple[str, str], Predictor] = field(default_factory=dict, compare=False)
@@ -60,7 +60,7 @@ class Cohort(Result):
         return f"Cohort of {len(self.ears)} ears, {len(self.laws)} laws"
 
     @property
-    def primary(self) -> list[CohortLaw]:
+    def primary(self) -> list[Law]:
         """The planned laws."""
         return [law for law in self.laws if law.family == "primary"]
 
@@ -68,10 +68,10 @@ class Cohort(Result):
         """Return the exponents of the planned laws and the number of independent parameters."""
         rows = []
         for planned in self.primary:
-            low, high = planned.law.interval
-            text = f"exponent {planned.law.exponent:.2f} (95 % {low:.2f} to {high:.2f})"
+            low, high = planned.interval
+            text = f"exponent {planned.exponent:.2f} (95 % {low:.2f} to {high:.2f})"
             name = f"{planned.response} ~ {planned.predictor}"
-            rows.append((name, f"{text}, p = {planned.law.p_value:.2g}"))
+            rows.append((name, f"{text}, p = {planned.p_value:.2g}"))
         if self.components is not None:
             ends = "{} to {}".format(*self.components.interval)
             rows.append(("independent parameters", f"{self.components.estimate} (95 % {ends})"))
@@ -110,11 +110,11 @@ class Cohort(Result):
             raise StapeskitError.of("the cohort", f"of at least {LEAST_EARS} ears", len(self.ears))
         return self.table
 
-    def pairs(self, law: CohortLaw) -> LogPairs:
+    def pairs(self, law: Law) -> LogPairs:
         """Return the logarithms of the ears that have both quantities of a law."""
         return self._logs().pairs(law.response, law.predictor)
 
-    def law(self, response: str, predictor: str) -> CohortLaw:
+    def law(self, response: str, predictor: str) -> Law:
         """Return a law, by whole names or their beginnings: ``law("K11", "mass")``.
 
         Raises
@@ -122,13 +122,12 @@ class Cohort(Result):
         StapeskitError
             There is no such law.
         """
+
+        def matches(name: str, given: str) -> bool:
+            return name == given or name.startswith(f"{given}_")
+
         found = [
-            law
-            for law in self.laws
-            if all(
-                name == given or name.startswith(f"{given}_")
-                for given, name in ((response, law.response), (predictor, law.predictor))
-            )
+            law for law in self.laws if matches(law.response, response) and matches(law.predictor, predictor)
         ]
         if len(found) != 1:
             known = ", ".join(sorted({f"{law.response} ~ {law.predictor}" for law in self.laws})) or "none"
@@ -177,7 +176,7 @@ class Cohort(Result):
         law = self.law(response, predictor)
         return self.predictor(law).tolerance(self.pairs(law).shared_variance)
 
-    def predictor(self, law: CohortLaw) -> Predictor:
+    def predictor(self, law: Law) -> Predictor:
         """Return the predictive distribution of a law, computed once."""
         key = (law.response, law.predictor)
         if key not in self._predictors:
@@ -287,7 +286,7 @@ def cohort_of(
     reasons = reasons_to_exclude(ears, use_all)
     names = dict(zip((ear.folder for ear in ears), unique_names(ears), strict=True))
     excluded = (*(failed or {}).items(), *((names[folder], why) for folder, why in reasons.items()))
-    notices = shared_scans(ears)
+    notices = list[Notice]()
     for why in dict.fromkeys(reasons.values()):
         alike = [names[folder] for folder, reason in reasons.items() if reason == why]
         notices.append(Notice("ear_excluded", f"Not in any law: {', '.join(alike)} ({why})."))

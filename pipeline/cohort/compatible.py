@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from pipeline.cohort.ears import Ear
 from stapeskit.faults import Fault
-from stapeskit.warnings import Notice
 
 
 def _measurement(ear: Ear) -> str:
@@ -36,10 +35,12 @@ def _body_of_scan(ear: Ear) -> str:
 
 
 _ONE_EAR: Mapping[str, Callable[[Ear], Hashable]] = {
+    "the same folder": lambda ear: ear.folder,
     "the same measured motion": _measurement,
     "exactly the same K": lambda ear: str(ear.kd["stiffness_si"]),
     "the same identifier [study] ear": lambda ear: str(ear.about.get("ear", "")),
     "the same subject and side": _subject_and_side,
+    "the same body of the same scan": _body_of_scan,
 }
 """What two ears cannot have in common."""
 
@@ -61,14 +62,32 @@ def cohort_faults(ears: Sequence[Ear], mix: bool = False) -> list[Fault]:
     mix : bool
         Allow different estimators, damping laws and states of cochlea and incus.
     """
-    found = [] if ears else [Fault("the cohort", "of at least one ear", "none")]
+    faults = [] if ears else [Fault("the cohort", "of at least one ear", "none")]
+    reported: set[tuple[int, ...]] = set()
+    for what, key in _ONE_EAR.items():
+        for value, members in _groups(ears, key).items():
+            places = tuple(map(id, members))
+            if len(members) > 1 and value not in (None, "") and places not in reported:
+                reported.add(places)
+                listed = ", ".join(f"{ear.name} ({ear.folder})" for ear in members)
+                text, step = f"{what} in {listed}", "Leave one of them out, or correct their studies"
+                faults.append(Fault("an ear", "in a cohort once", text, "", step))
     for ear in ears:
         stated = ear.about.get("side")
         if ear.side and stated not in (None, "", ear.side):
-            got = f"{stated} and {ear.side}"
-            thing = f"the side of {ear.name}"
-            found.append(Fault(thing, "the same in [study] and [scan]", got, ear.folder, "Correct one"))
-    return [*_repeated(ears), *found, *_differences(ears, mix)]
+            thing, got = f"the side of {ear.name}", f"{stated} and {ear.side}"
+            faults.append(Fault(thing, "the same in [study] and [scan]", got, ear.folder, "Correct one"))
+    for what, key in _ALIKE.items():
+        groups, may_differ = _groups(ears, key), what != "degrees of freedom"
+        if len(groups) < 2 or (mix and may_differ):
+            continue
+        kinds = "; ".join(
+            f"{value or 'not stated'}: {', '.join(ear.name for ear in them)}"
+            for value, them in groups.items()
+        )
+        step = "Make a cohort of each kind" + (", or allow a mixed one with --mix" if may_differ else "")
+        faults.append(Fault(f"the {what}", "the same in all ears of a cohort", kinds, "", step))
+    return faults
 
 
 def _groups(ears: Sequence[Ear], key: Callable[[Ear], Hashable]) -> dict[Any, list[Ear]]:
@@ -77,57 +96,6 @@ def _groups(ears: Sequence[Ear], key: Callable[[Ear], Hashable]) -> dict[Any, li
     for ear in ears:
         groups[key(ear)].append(ear)
     return groups
-
-
-def _shared(ears: Sequence[Ear], key: Callable[[Ear], Hashable]) -> list[list[Ear]]:
-    """Return the groups of ears that have a key in common; empty keys count for nothing."""
-    return [them for name, them in _groups(ears, key).items() if len(them) > 1 and name not in (None, "")]
-
-
-def _repeated(ears: Sequence[Ear]) -> list[Fault]:
-    """Return a fault for each group of ears that are one."""
-    times = Counter(ear.folder for ear in ears)
-    texts = [f"{folder} twice" for folder, count in times.items() if count > 1]
-    reported: set[frozenset[str]] = set()
-    for what, key in _ONE_EAR.items():
-        for members in _shared(ears, key):
-            folders = frozenset(ear.folder for ear in members)
-            if len(folders) > 1 and folders not in reported:
-                reported.add(folders)
-                texts.append(f"{what} in {_listed(members)}")
-    return [Fault("an ear", "in a cohort once", text, "", "Leave one of them out") for text in texts]
-
-
-def _listed(ears: Sequence[Ear]) -> str:
-    return ", ".join(f"{ear.name} ({ear.folder})" for ear in ears)
-
-
-def _differences(ears: Sequence[Ear], mix: bool) -> list[Fault]:
-    """Return a fault for everything that must be the same in all ears and is not."""
-    faults = []
-    for number, (what, key) in enumerate(_ALIKE.items()):
-        groups = _groups(ears, key)
-        if len(groups) < 2 or (mix and number):
-            continue
-        kinds = (
-            f"{value or 'not stated'}: {', '.join(ear.name for ear in them)}"
-            for value, them in groups.items()
-        )
-        step = "Make a cohort of each kind" + (", or allow a mixed one with --mix" if number else "")
-        faults.append(Fault(f"the {what}", "the same in all ears of a cohort", "; ".join(kinds), "", step))
-    return faults
-
-
-def shared_scans(ears: Sequence[Ear]) -> list[Notice]:
-    """Return a warning about ears whose masses come from one body of one scan."""
-    shared = _shared(ears, _body_of_scan)
-    if not shared:
-        return []
-    text = (
-        f"Ears with the same body of the same scan: {'; '.join(map(_listed, shared))}. Either one ear is "
-        "there more than once, or a study names the scan of another ear."
-    )
-    return [Notice("scan_shared", text)]
 
 
 def reasons_to_exclude(ears: Sequence[Ear], use_all: bool = False) -> dict[str, str]:
@@ -140,12 +108,8 @@ def reasons_to_exclude(ears: Sequence[Ear], use_all: bool = False) -> dict[str, 
     """
     reasons = {}
     for ear in ears:
-        variances = _diagonal(ear.kd.get("covariance_si"))
-        entries = {
-            name: value
-            for name, value in zip(ear.kd["parameters"], variances, strict=False)
-            if name[-1] == name[-2]
-        }
+        variances = dict(zip(ear.kd["parameters"], _diagonal(ear.kd.get("covariance_si")), strict=False))
+        entries = {name: value for name, value in variances.items() if name[-1] == name[-2]}
         unknown = [name for name, value in entries.items() if not 0.0 < value < np.inf]
         inertia = _diagonal(ear.mass["inertial_parameters"].get("covariance_si"))
         unknown += [] if all(0.0 <= value < np.inf for value in inertia) else ["the mass"]

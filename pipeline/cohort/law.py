@@ -11,11 +11,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from math import inf
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stapeskit.arrays import Array
+from stapeskit.arrays import Array, finite_or_none
 
 # Natural logarithms of scatter are kept within these: e^-9 is far below, e^2.5 far above what ears can show.
 _LOWEST, _HIGHEST = -9.0, 2.5
@@ -52,7 +53,7 @@ class LogPairs:
     covariates: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
-        n = self.n
+        n = len(self.x)
         defaults = {"subject": np.arange(n), "shared": np.zeros((n, 2, 0)), "covariates": np.zeros((n, 0))}
         for name, value in defaults.items():
             if not len(getattr(self, name)):
@@ -78,14 +79,10 @@ class LogPairs:
         """A column of ones and the covariates, (n, 1 + c)."""
         return np.column_stack([np.ones(self.n), self.covariates])
 
-    @property
-    def same_person(self) -> NDArray[np.bool_]:
-        """Which ears belong to one person, (n, n)."""
-        return np.asarray(self.subject[:, None] == self.subject[None, :])
-
-    def has_independent_covariates(self) -> bool:
-        """Return whether no covariate follows from the others or is the same in all ears."""
-        return int(np.linalg.matrix_rank(self.design, tol=1e-9)) == self.design.shape[1]
+    def allows_law(self, least_degrees: int) -> bool:
+        """Return whether enough degrees are left, and no covariate follows from the others."""
+        independent = int(np.linalg.matrix_rank(self.design, tol=1e-9)) == self.design.shape[1]
+        return self.degrees >= least_degrees and independent
 
     def select(self, keep: NDArray[np.bool_]) -> LogPairs:
         """Return some of the ears; ``keep`` is (n,)."""
@@ -113,18 +110,14 @@ class RestrictedLikelihood:
         self._errors = batch @ batch.T
         for place, own in enumerate(pairs.own):
             self._errors[2 * place : 2 * place + 2, 2 * place : 2 * place + 2] += own
-        self._relatives = pairs.same_person & ~np.eye(n, dtype=bool)
-        self.paired = bool(np.any(self._relatives))
-
-    def __call__(self, parameters: Array) -> Array:
-        """Return the value at each row of parameters, (g, 3 or 4)."""
-        return self.means(parameters)[0]
+        self.relatives = (pairs.subject[:, None] == pairs.subject) & ~np.eye(n, dtype=bool)
+        self.paired = bool(np.any(self.relatives))
 
     def means(self, parameters: Array) -> tuple[Array, Array, Array]:
-        """Return value (g,), estimated effects on the means (g, p), and their covariance (g, p, p)."""
-        parameters, n = np.atleast_2d(parameters), len(self._relatives)
+        """Return for rows (g, 3 or 4) the value, the effects on the means (g, p), and their covariance."""
+        parameters, n = np.atleast_2d(parameters), len(self.relatives)
         psi, rho = covariance_between_ears(parameters), self.correlation(parameters)
-        between = np.eye(n) + rho[:, None, None] * self._relatives
+        between = np.eye(n) + rho[:, None, None] * self.relatives
         whole = np.einsum("gij,gab->giajb", between, psi).reshape(-1, 2 * n, 2 * n) + self._errors
         root = np.linalg.cholesky(whole)
         right = np.column_stack([self._design, self._values])
@@ -195,7 +188,7 @@ class Profile:
         def value_and_slope(scaled: Array, start: Array) -> tuple[float, Array]:
             points = np.tile(start, (len(steps), 1))
             points[:, free] += (scaled + steps) * self._scales[free]
-            values = self.likelihood(points)
+            values = self.likelihood.means(points)[0]
             return values[0], (values[1 : 1 + len(free)] - values[1 + len(free) :]) / 2e-4
 
         found = []
@@ -240,7 +233,7 @@ class Profile:
         return sign * inf
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Law:
     """ln y = a + b ln x + scatter, from the ears of a cohort.
 
@@ -250,8 +243,10 @@ class Law:
         Ears.
     exponent, interval : float, tuple of float
         b and its 95 % interval; a side that the data do not bound is infinite.
-    p_value : float
-        Of b = 0, two-sided.
+    p_value, q_value : float
+        Of b = 0, two-sided; false discovery rate within the family.
+    intercept : float
+        a: ln y at x = 1.
     tau : float
         Standard deviation of the true ln x over ears.
     sigma, sigma_interval : float, tuple of float
@@ -260,30 +255,54 @@ class Law:
         Correlation of ears of one person; 0 where no person has two.
     reliability : float
         tau^2 / (tau^2 + s^2) with s^2 the median variance of the errors of ln x: near 0, x is not resolved.
-    mean : tuple of float
-        Estimated means of ln x and ln y.
+    response, predictor, family : str
+        Names of y and x; ``primary`` (planned) or ``exploratory``.
+    prediction_error : float
+        Root mean square of ln of each response less what the ears of all other persons predict; NaN where
+        they are too few.
     """
 
     n: int
     exponent: float
     interval: tuple[float, float]
     p_value: float
+    intercept: float
     tau: float
     sigma: float
     sigma_interval: tuple[float, float]
     rho: float
     reliability: float
-    mean: tuple[float, float]
+    response: str = ""
+    predictor: str = ""
+    family: str = "exploratory"
+    prediction_error: float = float("nan")
+    q_value: float = float("nan")
 
     @property
     def unbounded(self) -> bool:
         """Whether the data leave the exponent open on a side."""
         return not np.all(np.isfinite(self.interval))
 
-    @property
-    def intercept(self) -> float:
-        """a: ln y at x = 1."""
-        return self.mean[1] - self.exponent * self.mean[0]
+    def as_json(self) -> dict[str, Any]:
+        """Return the form of cohort.json; open ends of intervals are null."""
+        return {
+            "response": self.response,
+            "predictor": self.predictor,
+            "family": self.family,
+            "exponent": self.exponent,
+            "exponent_interval_95": [finite_or_none(end) for end in self.interval],
+            "unbounded": self.unbounded,
+            "p_value": self.p_value,
+            "q_value": self.q_value,
+            "intercept_log": self.intercept,
+            "intrinsic_sd_log": self.sigma,
+            "intrinsic_sd_log_interval_95": list(self.sigma_interval),
+            "predictor_sd_log": self.tau,
+            "reliability": self.reliability,
+            "correlation_of_pairs": self.rho,
+            "prediction_error_log": finite_or_none(self.prediction_error),
+            "n": self.n,
+        }
 
 
 def fit_law(pairs: LogPairs, level: float = 0.95) -> tuple[Law, Profile]:
@@ -322,12 +341,12 @@ def fit_law(pairs: LogPairs, level: float = 0.95) -> tuple[Law, Profile]:
         exponent=b,
         interval=(profile.side(-1.0, limit), profile.side(1.0, limit)),
         p_value=profile.p_value(),
+        intercept=float(mean[1]) - b * float(mean[0]),
         tau=tau,
         sigma=sigma,
         sigma_interval=scatter_interval(pairs, b, level, rho),
         rho=rho,
         reliability=tau**2 / (tau**2 + error) if error > 0.0 else 1.0,
-        mean=(float(mean[0]), float(mean[1])),
     )
     return law, profile
 
@@ -355,7 +374,7 @@ def scatter_interval(
     variance = max(float(np.var(residual)), 1e-300)
     across = np.array([-exponent, 1.0])
     error = across @ pairs.own @ across + 1e-12 * variance
-    alike = np.where(np.eye(pairs.n, dtype=bool), 1.0, rho * pairs.same_person)
+    alike = np.eye(pairs.n) + rho * RestrictedLikelihood(pairs).relatives
 
     def q(scatter: float) -> float:
         whole = scatter * alike + np.diag(error)

@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.cohort.cohort import Cohort
 from pipeline.cohort.ears import Ear, Quantity, common_damping_exponent, ear_frame, quantities, unique_names
-from pipeline.cohort.laws import CohortLaw
+from pipeline.cohort.law import Law
 from stapeskit.report import page
 from stapeskit.report.figures import panels, plain, style
 from stapeskit.report.quantities import (
@@ -98,17 +98,16 @@ def cohort_page(cohort: Cohort, failed: Mapping[str, str]) -> page.Page:
 _LAW_HEAD = ("law", "exponent", "95 %", "p", "q", "scatter (ln)", "95 %", "prediction error (ln)", "ears")
 
 
-def _law_row(entry: CohortLaw) -> tuple[object, ...]:
-    law = entry.law
+def _law_row(law: Law) -> tuple[object, ...]:
     return (
-        f"{entry.response} ~ {_PREDICTORS[entry.predictor][0]}",
+        f"{law.response} ~ {_PREDICTORS[law.predictor][0]}",
         f"{law.exponent:.2f}",
         " to ".join(f"{end:.2f}" if np.isfinite(end) else "open" for end in law.interval),
         f"{law.p_value:.2g}",
-        f"{entry.q_value:.2g}",
+        f"{law.q_value:.2g}",
         f"{law.sigma:.3f}",
         "{:.3f} to {:.3f}".format(*law.sigma_interval),
-        f"{entry.prediction_error:.3f}" if np.isfinite(entry.prediction_error) else "–",
+        f"{law.prediction_error:.3f}" if np.isfinite(law.prediction_error) else "–",
         str(law.n),
     )
 
@@ -121,7 +120,7 @@ def _response_unit(response: str, ears: Sequence[Ear]) -> ShownUnit:
     return diagonal_unit(response[0], dof[int(response[1]) - 1], common_damping_exponent(ears))
 
 
-def laws_figure(cohort: Cohort, laws: Sequence[CohortLaw]) -> Figure:
+def laws_figure(cohort: Cohort, laws: Sequence[Law]) -> Figure:
     """Draw one panel for each law: ears with their own errors, the law, and the band of further ears."""
     with style():
         drawing, grid = panels(-(-max(len(laws), 1) // _COLUMNS), _COLUMNS, height=3.0)
@@ -132,7 +131,7 @@ def laws_figure(cohort: Cohort, laws: Sequence[CohortLaw]) -> Figure:
     return drawing
 
 
-def _draw_law(panel: Any, cohort: Cohort, law: CohortLaw) -> None:
+def _draw_law(panel: Any, cohort: Cohort, law: Law) -> None:
     words, predictor_unit = _PREDICTORS[law.predictor]
     pairs, predictor = cohort.pairs(law), cohort.predictor(law)
     unit = _response_unit(law.response, cohort.ears)
@@ -147,13 +146,13 @@ def _draw_law(panel: Any, cohort: Cohort, law: CohortLaw) -> None:
     shown = np.linspace(pairs.x.min() - margin, pairs.x.max() + margin, 25)
     band = np.exp([predictor.predict(float(at)).interval for at in shown]) * up
     panel.fill_between(np.exp(shown) * across, band[:, 0], band[:, 1], color=_BAND, lw=0)
-    panel.plot(np.exp(shown) * across, np.exp(law.law.intercept + law.law.exponent * shown) * up, color=_BLUE)
+    panel.plot(np.exp(shown) * across, np.exp(law.intercept + law.exponent * shown) * up, color=_BLUE)
     panel.plot(np.exp(pairs.x) * across, np.exp(pairs.y) * up, "o", color=_BLUE, ms=4)
     panel.set(xlabel=f"{words} ({predictor_unit.symbol})", ylabel=f"{law.response} ({unit.symbol})")
 
 
 def _exploratory_blocks(cohort: Cohort) -> list[Markup]:
-    others = sorted((law for law in cohort.laws if law.family != "primary"), key=lambda law: law.law.p_value)
+    others = sorted((law for law in cohort.laws if law.family != "primary"), key=lambda law: law.p_value)
     words = (
         "Laws ln y = a + b ln x with errors of measurement in both and scatter of the ears about the law "
         "(restricted maximum likelihood; 95 % intervals by the profile). Laws that were not planned are "

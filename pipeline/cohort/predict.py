@@ -156,7 +156,7 @@ def left_out(pairs: LogPairs, profile: Profile) -> Array:
     for subject in np.unique(pairs.subject):
         out = centred.subject == subject
         rest = centred.select(~out)
-        if rest.degrees < 2 or not rest.has_independent_covariates():
+        if not rest.allows_law(2):
             continue
         near = profile.best if len(np.unique(rest.subject)) < rest.n else profile.best[:3]
         fitted = Profile(rest, near)

@@ -30,22 +30,6 @@ def test_without_the_extra_one_sentence_names_the_command_that_installs_it(monke
     assert "[app]" in fault.next_step
 
 
-@pytest.mark.parametrize(
-    ("words", "thing"),
-    [
-        (["app", "nowhere"], "the folder"),
-        (["app", "a", "b"], "stapeskit app"),
-        (["app", "--port", "99999"], "--port"),
-        (["app", "--prot"], "stapeskit app"),
-    ],
-)
-def test_wrong_words_are_refused_before_anything_starts(monkeypatch, words, thing):
-    monkeypatch.setattr(launch, "find_spec", lambda _: True)
-    with pytest.raises(StapeskitError) as raised:
-        work(words)
-    assert raised.value.faults[0].thing == thing
-
-
 def test_the_server_binds_to_this_machine_with_a_token_and_shows_no_tracebacks(monkeypatch, tmp_path):
     monkeypatch.setattr(launch, "find_spec", lambda _: True)
     words = launch.app_command(tmp_path)
@@ -53,15 +37,6 @@ def test_the_server_binds_to_this_machine_with_a_token_and_shows_no_tracebacks(m
     assert {"--token", "--no-show-tracebacks"} <= set(words)
     assert Path(words[words.index("run") + 1]).is_file()
     assert words[-2:] == ["--folder", str(tmp_path)]
-
-
-def test_every_name_of_the_page_is_defined_in_one_cell():
-    pytest.importorskip("marimo")
-    page = Path(launch.__file__).with_name("page.py")
-    found = subprocess.run(
-        [sys.executable, "-m", "marimo", "check", str(page)], capture_output=True, text=True
-    )
-    assert "critical" not in found.stdout + found.stderr
 
 
 def answer(address: str) -> tuple[int, str]:

@@ -1,0 +1,246 @@
+"""The steps of a study, each in a child process: ``python -m app.steps STEP STUDY.toml``.
+
+A step is what the commands do, in the study's folders. What the page shows of it is left in NAME_app/; the
+child says stages at work, warnings and a fault on standard output, a JSON object a line.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from app.study_file import OwnFile, StudyFile
+from stapeskit.command import fault_sentence, run
+from stapeskit.warnings import Notice
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from fitting.result import KDFit
+    from kinematics.results import MotionResult
+
+
+def _say(**words: Any) -> None:
+    sys.stdout.write(json.dumps(words) + "\n")
+    sys.stdout.flush()
+
+
+def _tell(stage: str, share: float | None = None) -> None:
+    _say(stage=stage, share=share)
+
+
+def _warn(notices: Sequence[Notice]) -> None:
+    _say(notices={notice.code: notice.text for notice in notices})
+
+
+def _keep(study: StudyFile, name: str, content: dict[str, Any]) -> None:
+    OwnFile(study.kept / f"{name}.json").write(json.dumps(content))
+
+
+def found(study: StudyFile) -> None:
+    """Find the stapes and measure its mass, without hand work."""
+    _mass(study, study.found, hand_work=False)
+
+
+def cut(study: StudyFile) -> None:
+    """Measure the mass with the labels that were drawn."""
+    _mass(study, study.cut, hand_work=True)
+
+
+def _mass(study: StudyFile, folder: Path, *, hand_work: bool) -> None:
+    from ct_inertia.ct2mass import measure_mass
+
+    result = measure_mass(study.mass_options(hand_work=hand_work), _tell)
+    result.write(folder, report=False)
+    _warn(result.notices)
+
+
+def points(study: StudyFile) -> None:
+    """Lay the measurement into the scan, and look at every beam."""
+    from kinematics.options import MotionOptions
+    from kinematics.points2dof import measure_motion
+    from stapeskit.records.measured_mass import measured_mass
+
+    folder = mass_folder(study)
+    mass = None if folder is None else measured_mass(folder / "mass.json")
+    options = MotionOptions.from_study(study.tables.get("ldv", {}), study.path.name, study.path.parent)
+    result = measure_motion(options, mass, _tell)
+    _warn(result.notices)
+    _keep(study, "points", points_content(result))
+
+
+def points_content(result: MotionResult) -> dict[str, Any]:
+    """Return points in scan mm with their verdicts, every beam, and how well the fiducials fit, µm."""
+    from kinematics.measurement import direction_name
+    from kinematics.report.motion import motion_scene
+
+    places, fit = [], result.placement.registration
+    if result.mass is not None:
+        pose = result.mass.record.scan_from_footplate
+        for point in motion_scene(result).points:
+            at = [round(float(value), 4) for value in pose.points(np.asarray(point.position_mm))]
+            places.append((point.body, point.verdict, at))
+    beams = [
+        (one.body, one.point, direction_name(one.direction), one.verdict, one.estimate,
+         round(1e6 * float(one.residual_rms_m), 6))
+        for one in result.channels
+    ]  # fmt: skip
+    residuals = [] if fit is None else 1e3 * np.linalg.norm(fit.residuals_mm, axis=1)
+    return {
+        "points": places,
+        "beams": beams,
+        "rms_um": None if fit is None else 1e3 * fit.rms_mm,
+        "fiducials": {} if fit is None else dict(zip(fit.names, map(float, residuals), strict=True)),
+    }
+
+
+def fit(study: StudyFile) -> None:
+    """Run the study as ``scan2kd`` does."""
+    from fitting.report.page import matrices, verdict_block
+    from pipeline.run import run_study
+    from stapeskit.report import page
+
+    fitted = run_study(study.path, study.out, progress=_tell, tell=_warn).fit
+    shown = str(verdict_block(fitted) + page.beside(*matrices(fitted)))
+    codes = [reason.code for reason in fitted.verdict.reasons]
+    curves = response_table(fitted).to_dict("list")
+    _keep(study, "fit", {"reasons": codes, "html": shown, "responses": curves})
+
+
+def response_table(result: KDFit) -> DataFrame:
+    """Return measured and fitted responses, one value a row, for curves."""
+    import pandas as pd
+
+    from fitting.report.figures import responses
+    from stapeskit.report.figures import dof_unit
+
+    shown, parts = responses(result), []
+    for place, name in enumerate(result.dof):
+        scale, symbol = dof_unit(name)
+        for kind, values in (("measured", shown.measured), ("fitted", shown.simulated)):
+            columns = {
+                "frequency, Hz": shown.freq_hz,
+                "amplitude": scale * np.abs(values[:, place]),
+                "phase": np.angle(values[:, place], deg=True),
+            }
+            parts.append(pd.DataFrame(columns).assign(motion=f"{name}, {symbol}", kind=kind))
+    return pd.concat(parts)
+
+
+def mass_folder(study: StudyFile) -> Path | None:
+    """Return the folder with the mass of the study: of the corrected cut, else of the found one."""
+    drawn = study.cut if study.labels_are_ours else study.found
+    return next((one for one in (drawn, study.found) if (one / "mass.json").is_file()), None)
+
+
+STEPS: dict[str, tuple[str, Callable[[StudyFile], None]]] = {
+    "found": ("Measuring the stapes", found),
+    "cut": ("Measuring the corrected cut", cut),
+    "points": ("Looking at the measurement", points),
+    "fit": ("Fitting stiffness and damping", fit),
+}
+"""Steps by name: their titles, and what they do."""
+
+
+class Job:
+    """A step at work in a child process, begun when this is made.
+
+    Attributes
+    ----------
+    step : str
+        Of `STEPS`.
+    stage, share : str, float or None
+        What is at work, and the part of it that is done.
+    notices : dict of str to str
+        Warnings by code.
+    """
+
+    def __init__(self, step: str, study: StudyFile) -> None:
+        self.step, self.stage = step, "starting"
+        self.share: float | None = None
+        self.notices: dict[str, str] = {}
+        self._fault, self._stopped = "", False
+        self._began = self._stage_began = time.monotonic()
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "app.steps", step, str(study.path)],
+            stdout=subprocess.PIPE,
+            cwd=Path(__file__).parents[1],
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        for line in self._process.stdout or ():
+            try:
+                word = json.loads(line)
+            except ValueError:  # what a library printed
+                continue
+            self.notices |= word.get("notices", {})
+            self._fault = word.get("fault", self._fault)
+            if "stage" in word:
+                if word["stage"] != self.stage:
+                    self._stage_began = time.monotonic()
+                self.stage, self.share = word["stage"], word["share"]
+
+    @property
+    def running(self) -> bool:
+        """Whether it is still at work."""
+        return self._process.poll() is None
+
+    @property
+    def progress(self) -> str:
+        """Title, stage, share and time left in one line."""
+        now = time.monotonic()
+        text = f"{STEPS[self.step][0]}: {self.stage}, {now - self._began:.0f} s"
+        if self.share is not None and 0.02 < self.share < 1.0:
+            left = (now - self._stage_began) * (1.0 - self.share) / self.share
+            text += f", {100.0 * self.share:.0f} %, about {left:.0f} s left"
+        return text
+
+    @property
+    def done(self) -> str:
+        """Say that it has ended."""
+        return f"{STEPS[self.step][0]}: done in {time.monotonic() - self._began:.0f} s."
+
+    def stop(self) -> None:
+        """End it; what finished stages have written stays."""
+        self._stopped = True
+        self._process.terminate()
+
+    def fault(self) -> str:
+        """Wait for its end and return what was wrong: empty when all went well, never a traceback."""
+        code = self._process.wait()
+        self._reader.join()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+        if self._stopped or code == 130:
+            return "Stopped; what was there before is unchanged."
+        killed = "The step ended before it was done, most often because memory ran out: close other programs."
+        return self._fault or (killed if code else "")
+
+
+def work(words: list[str]) -> None:
+    """Run the step that the words name; what is wrong is said in the sentence of the commands."""
+    step, path = words[0], Path(words[1])
+    try:
+        STEPS[step][1](StudyFile.read(path))
+    except Exception as error:
+        sentence = fault_sentence(error)
+        if sentence is None:
+            log = StudyFile(path).kept / "failure.txt"
+            OwnFile(log).write(traceback.format_exc())
+            sentence = f"stapeskit failed in this step. This is a bug, not your input: please report {log}."
+        _say(fault=sentence)
+
+
+if __name__ == "__main__":
+    run("stapeskit app", work)
