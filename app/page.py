@@ -154,7 +154,7 @@ def scan_controls(browser, get_study, session, step_button, text_field):
     )
     spacing = text_field("scan", "spacing_mm", "voxel, mm", placeholder="from the scan")
     measure = step_button("Measure", "found", lambda: session.set_scan(name.value, density.value, side.value))
-    hint = "Another body was found, or none? Mark a place *in the stapes*, or a box, under *3 Marks*."
+    hint = "Another body was found, or none? Mark a place in it, or a box around it, in step 3."
     scan_step = listed(browser, beside(name, density), beside(side, spacing), measure, mo.md(hint))
     return (scan_step,)
 

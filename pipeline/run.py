@@ -35,15 +35,12 @@ if TYPE_CHECKING:
     from stapeskit.command import Progress
 
 FILES = {
-    "scan": ("mass.json", "stapes.ply", "plate.ply", "labels.seg.nrrd", "scan_crop.nrrd"),
+    "scan": ("mass.json", "stapes.ply", "labels.seg.nrrd"),
     "motion": ("dof.csv", "dof.h5", "dof.channels.csv"),
     "fit": ("kd.json", "kd.mat", "kd.csv"),
     "report": ("report.html",),
 }
 """Files that each stage may write."""
-
-EXTRA = ("plate.ply", "scan_crop.nrrd")
-"""Of these, what is written with ``all_files`` only: surfaces and voxels that few have a use for."""
 
 Tell = Callable[[Sequence[Notice]], None]
 
@@ -203,10 +200,8 @@ def run_study(
     check_study(study, outputs.values())
     mass, reused = None, []
 
-    dropped = set() if study.about.all_files else set(EXTRA)
     mass_file = out / FILES["scan"][0]
-    complete = "plate.ply" in dropped or (out / "plate.ply").exists()
-    same = not force and complete and outputs["scan"].unchanged()
+    same = not force and outputs["scan"].unchanged()
     if same and _is_made_from(_provenance(mass_file), study.scan):
         measured = MeasuredMass(read_mass_json(mass_file), mass_file)
         reused.append("scan")
@@ -214,7 +209,9 @@ def run_study(
         mass = measure_mass(study.scan, progress)
         with outputs["scan"].staged() as stage:
             mass.write_into(stage, report=False)
-            _drop(stage, dropped)
+            for path in stage.iterdir():  # of ct2mass: surfaces and voxels that few have a use for here
+                if path.name not in FILES["scan"]:
+                    path.unlink()
         measured = MeasuredMass(read_mass_json(mass_file), mass_file)
     tell(measured.record.notices)
 
@@ -237,11 +234,6 @@ def run_study(
     with outputs["report"].staged() as stage:
         study_page(result).write(stage / FILES["report"][0])
     return result
-
-
-def _drop(folder: Path, names: Iterable[str]) -> None:
-    for name in names:
-        (folder / name).unlink(missing_ok=True)
 
 
 def check_study(study: Study, outputs: Iterable[Outputs] = ()) -> None:

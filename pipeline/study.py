@@ -12,7 +12,7 @@ from ct_inertia.options import MassOptions
 from fitting.options import KDOptions
 from kinematics.options import MotionOptions
 from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
-from stapeskit.option_types import Flag, Number, ReadFile, Table, Text, Words
+from stapeskit.option_types import Number, ReadFile, Table, Text, Words
 from stapeskit.options import Opt, Options, read_toml, template
 from stapeskit.warnings import table as warning_table
 
@@ -44,7 +44,6 @@ class About(Options):
     covariates: Annotated[
         Table | None, Opt("any further columns of a cohort", example={"storage_days": 3.0})
     ] = None
-    all_files: Annotated[Flag, Opt("also write plate.ply and scan_crop.nrrd")] = False
     truth: Annotated[
         ReadFile | None, Opt("true values of a simulated ear, shown in the report", example="truth.json")
     ] = None

@@ -40,7 +40,8 @@ def parse(
     try:
         known, rest = _parser(prog, text, entries, epilog).parse_known_args(joined)
     except argparse.ArgumentError as error:
-        raise StapeskitError(f"{prog}: {error}") from None
+        got = "nothing" if error.message.startswith("expected") else error.message
+        raise StapeskitError.of(error.argument_name or prog, f"given as {prog} --help shows", got) from None
     given = vars(known)
     values_of_unknown = {after for before, after in itertools.pairwise(rest) if before.startswith("--")}
     wrong = [word for word in rest if word.startswith("-") or word not in values_of_unknown]

@@ -241,7 +241,7 @@ def cohort(
     Examples
     --------
     >>> ears = cohort(["ear1_out", "ear2_out", "ear3_out", "ear4_out", "ear5_out"])  # doctest: +SKIP
-    >>> ears.law("K11", "mass").law.interval  # doctest: +SKIP
+    >>> ears.law("K11", "mass").interval  # doctest: +SKIP
     """
     sources = []
     for study in studies:

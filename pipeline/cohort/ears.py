@@ -164,68 +164,56 @@ class Quantity:
         return f"{self.title} ({self.shown.symbol})" if self.shown.symbol else self.title
 
 
+_Number = tuple[float | None, float | None, float]
+"""Value, standard deviation, and the variance by errors that all ears share."""
+_NONE: _Number = (None, None, 0.0)
+
+
 def quantities(ears: Sequence[Ear]) -> list[Quantity]:
     """Return mass, K, D and modes of all ears; right ears as their mirror images on the left."""
     common = [source for source in SHARED_SOURCES if len({source_id(ear, source) for ear in ears}) == 1]
-    right = np.array([ear.side == "right" for ear in ears])
-    rows = [_quantity("mass", "kg", MASS, [_mass_of(ear, common) for ear in ears])]
-    dof = max((tuple(ear.kd["dof"]) for ear in ears), key=len)
+    numbers = [_numbers(ear, common) for ear in ears]
     exponent = common_damping_exponent(ears)
+    largest = sorted(numbers, key=len, reverse=True)
+    return [
+        _quantity(name, exponent, [of.get(name, _NONE) for of in numbers])
+        for name in dict.fromkeys(name for of in largest for name in of)
+    ]
+
+
+def _numbers(ear: Ear, common: Sequence[str]) -> dict[str, _Number]:
+    """Return the numbers of one ear by name."""
+    kd, parts = ear.kd, ear.mass["inertial_parameters"].get("contributions_si") or {}
+    shared = float(sum(parts[source][0][0] for source in common if source in parts))
+    found: dict[str, _Number] = {
+        "mass": (ear.mass["mass_kg"], ear.mass["mass_matrix"]["standard_deviation_si"][0][0], shared)
+    }
+    budget = [(kd.get("budget") or {}).get(f"mass.{source}", {}) for source in common]
     for letter, key in (("K", "stiffness"), ("D", "damping")):
-        for first, second in combinations_with_replacement(dof, 2):
-            turned = ((first in _ODD) != (second in _ODD)) & right
-            values = [_entry(ear, common, letter, key, first, second) for ear in ears]
-            unit = si_unit(letter, first, second, exponent)
-            shown = matrix_units(letter, (first, second), exponent)[0][1]
-            signs = np.where(turned, -1.0, 1.0)
-            rows.append(_quantity(f"{letter}_{first}_{second}", unit, shown, values, signs))
-    for mode in range(max((len(ear.kd.get("modes") or []) for ear in ears), default=0)):
-        for name, unit, sd in (
-            ("frequency_hz", "Hz", "frequency_sd_hz"),
-            ("damping_ratio", "", "damping_ratio_sd"),
-        ):
-            values = [_mode(ear, mode, name, sd) for ear in ears]
-            full = f"mode{mode + 1}_{name.removesuffix('_hz')}"
-            rows.append(_quantity(full, unit, ShownUnit(unit, 1.0), values))
-    return rows
+        value, sd = (kd.get(f"{key}{ending}") for ending in ("_si", "_sd_si"))
+        for (i, first), (j, second) in combinations_with_replacement(enumerate(kd["dof"]), 2):
+            turned = ear.side == "right" and (first in _ODD) != (second in _ODD)
+            shared = float(sum((of.get(f"{letter}{i + 1}{j + 1}") or 0.0) ** 2 for of in budget))
+            entry = value and (-value[i][j] if turned else value[i][j])
+            found[f"{letter}_{first}_{second}"] = (entry, sd and sd[i][j], shared)
+    for number, mode in enumerate(kd.get("modes") or [], 1):
+        found[f"mode{number}_frequency"] = (mode.get("frequency_hz"), mode.get("frequency_sd_hz"), 0.0)
+        found[f"mode{number}_damping_ratio"] = (mode.get("damping_ratio"), mode.get("damping_ratio_sd"), 0.0)
+    return found
 
 
-_Number = tuple[float | None, float | None, float]
-"""Value, standard deviation, and the variance by errors that all ears share."""
-
-
-def _quantity(
-    name: str, unit: str, shown: ShownUnit, numbers: Sequence[_Number], signs: Array | float = 1.0
-) -> Quantity:
+def _quantity(name: str, exponent: float | None, numbers: Sequence[_Number]) -> Quantity:
+    letter, *dof = name.split("_")
+    if letter in ("K", "D"):
+        unit, shown = si_unit(letter, dof[0], dof[1], exponent), matrix_units(letter, dof, exponent)[0][1]
+    else:
+        unit = {"mass": "kg", "frequency": "Hz"}.get(name.split("_")[-1], "")
+        shown = MASS if name == "mass" else ShownUnit(unit, 1.0)
     value, sd, shared = np.array(numbers, dtype=float).T
     variance = sd**2 - shared
     # what rounding leaves of a difference is no error of an ear
     own = np.sqrt(np.where(variance < 1e-9 * sd**2, 0.0, variance))
-    return Quantity(name, unit, shown, signs * value, sd, own)
-
-
-def _mass_of(ear: Ear, common: Sequence[str]) -> _Number:
-    parts = ear.mass["inertial_parameters"].get("contributions_si") or {}
-    shared = sum(parts[source][0][0] for source in common if source in parts)
-    return ear.mass["mass_kg"], ear.mass["mass_matrix"]["standard_deviation_si"][0][0], float(shared)
-
-
-def _entry(ear: Ear, common: Sequence[str], letter: str, key: str, first: str, second: str) -> _Number:
-    dof, budget = list(ear.kd["dof"]), ear.kd.get("budget") or {}
-    if first not in dof or second not in dof:
-        return None, None, 0.0
-    row, column = dof.index(first), dof.index(second)
-    name = f"{letter}{row + 1}{column + 1}"
-    parts = [budget.get(f"mass.{source}", {}).get(name) or 0.0 for source in common]
-    value, sd = (ear.kd.get(f"{key}{ending}") for ending in ("_si", "_sd_si"))
-    shared = float(sum(part**2 for part in parts))
-    return value and value[row][column], sd and sd[row][column], shared
-
-
-def _mode(ear: Ear, mode: int, key: str, sd_key: str) -> _Number:
-    modes = ear.kd.get("modes") or []
-    found = modes[mode] if mode < len(modes) else {}
-    return found.get(key), found.get(sd_key), 0.0
+    return Quantity(name, unit, shown, value, sd, own)
 
 
 def ear_frame(ears: Sequence[Ear], failed: Mapping[str, str] | None = None) -> Any:

@@ -98,7 +98,7 @@ def _draw_and_undo(page, folder):
         for name in ("found", "cut")
     ]
     assert masses[1] < masses[0] - 1e-9
-    page.press("stapes")
+    page.press("/^stapes$/")
     above = head + np.array([0.0, 0.0, 0.3])
     page.drag(coronal.place(above - across), coronal.place(above + across))
     page.press("look")

@@ -29,7 +29,7 @@ def test_planted_laws_are_found_within_their_intervals(
 
     page = SimpleNamespace(write=lambda path: path.write_text("a report"))
     monkeypatch.setattr("pipeline.report.study_page", lambda _: page)
-    make_cohort(tmp_path, Population(ears=6, pairs=1, size=0.12), Scan(voxel_um=48.0))
+    make_cohort(tmp_path, Population(ears=6, pairs=1, size=0.12), Scan(voxel_um=48.0, samples=6))
     studies = sorted((tmp_path / "ears").glob("*/study.toml"))
     run_studies(studies, tmp_path / "out", run_in_turn)
     assert json.loads((tmp_path / "out" / "cohort.json").read_text())["excluded"] == []
