@@ -6,9 +6,12 @@ from stapeskit.command import Outcome, run
 
 TYPE_CHECKING = False  # everything is imported on first use, so that the help is quick
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
     from typing import NoReturn
 
     from pipeline.command_options import CohortOptions, RunOptions
+    from stapeskit.warnings import Notice
 
 _EPILOG = """STUDY: study.toml; left out, the one of the current folder. Several studies
 get a subfolder of --out each, and cohort.csv, cohort.json, cohort.html.
@@ -50,29 +53,26 @@ def work(words: list[str]) -> Outcome | None:
     return _one(paths[0], chosen) if len(paths) == 1 else _several(paths, chosen, cohort)
 
 
-def _check(paths: object, chosen: RunOptions) -> Outcome:
-    from pathlib import Path
-
+def _check(paths: Sequence[Path], chosen: RunOptions) -> Outcome:
     from pipeline.run import check_study
     from pipeline.study import read_study
 
     rows = []
-    for path in paths:  # type: ignore[attr-defined]
-        study = read_study(Path(path))
+    for path in paths:
+        study = read_study(path)
         check_study(study)
         rows.append((study.name, f"{len(study.inputs())} files, nothing to mend before it runs"))
     return Outcome("checked", rows, json=chosen.as_json, quiet=chosen.quiet)
 
 
-def _one(path: object, chosen: RunOptions) -> Outcome:
+def _one(study: Path, chosen: RunOptions) -> Outcome:
     import sys
-    from collections.abc import Sequence
     from pathlib import Path
 
     from pipeline.report import summary_rows, write_figures
     from pipeline.run import FILES, run_study
     from stapeskit.command import printable, progress_line
-    from stapeskit.warnings import Notice, once
+    from stapeskit.warnings import once
 
     reported: list[Notice] = []
 
@@ -82,7 +82,6 @@ def _one(path: object, chosen: RunOptions) -> Outcome:
         for notice in () if chosen.quiet else fresh:
             sys.stderr.write(printable(f"warning [{notice.code}] {notice.text}\n"))
 
-    study = Path(str(path))
     out = chosen.out or Path(f"{study.stem}_out")
     with progress_line(not chosen.quiet and not chosen.as_json) as progress:
         result = run_study(study, out, force=chosen.force, progress=progress, tell=tell)
@@ -93,7 +92,7 @@ def _one(path: object, chosen: RunOptions) -> Outcome:
     return Outcome(result.title, summary_rows(result), (), files, content, chosen.as_json, chosen.quiet)
 
 
-def _several(paths: object, chosen: RunOptions, cohort: CohortOptions) -> Outcome:
+def _several(studies: Sequence[Path], chosen: RunOptions, cohort: CohortOptions) -> Outcome:
     import sys
     from pathlib import Path
 
@@ -108,7 +107,6 @@ def _several(paths: object, chosen: RunOptions, cohort: CohortOptions) -> Outcom
     runner = run_on_dask(chosen.scheduler) if chosen.scheduler else run_here(chosen.jobs)
     names = ("mix", "use_all", "covariates", "laws")
     choices = {name: getattr(cohort, name) for name in names}
-    studies = [Path(path) for path in paths]  # type: ignore[attr-defined]
     out = chosen.out or Path("cohort_out")
     result = run_studies(studies, out, runner, force=chosen.force, choices=choices, report=report)
     failed = {name: end for name, end in result.ends.items() if end.code}

@@ -202,7 +202,7 @@ def run_study(
 
     mass_file = out / FILES["scan"][0]
     same = not force and outputs["scan"].unchanged()
-    if same and _is_made_from(_provenance(mass_file), study.scan):
+    if same and _is_made_from(json.loads(mass_file.read_text(encoding="utf-8"))["provenance"], study.scan):
         measured = MeasuredMass(read_mass_json(mass_file), mass_file)
         reused.append("scan")
     else:
@@ -256,14 +256,6 @@ def check_study(study: Study, outputs: Iterable[Outputs] = ()) -> None:
     with collect_faults(faults):
         check_measurement(study.ldv)
     raise_all(faults)
-
-
-def _provenance(path: Path) -> Mapping[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        return dict(content["provenance"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return {}
 
 
 def _is_made_from(provenance: Mapping[str, Any], options: Any) -> bool:

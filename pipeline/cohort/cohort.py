@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,10 +14,10 @@ from pipeline.cohort.compatible import cohort_faults, reasons_to_exclude
 from pipeline.cohort.components import Components
 from pipeline.cohort.covariates import covariates_of, described
 from pipeline.cohort.ears import Ear, read_ears, unique_names
-from pipeline.cohort.law import Law, LogPairs
+from pipeline.cohort.law import Law
 from pipeline.cohort.laws import LEAST_EARS, components_of, fit_laws, unresolved
 from pipeline.cohort.logs import LogTable, log_table
-from pipeline.cohort.predict import Prediction, Predictor
+from pipeline.cohort.predict import Prediction
 from stapeskit.faults import StapeskitError, raise_all
 from stapeskit.records.measured_mass import measured_mass
 from stapeskit.results import Result
@@ -52,7 +52,6 @@ class Cohort(Result):
     laws: tuple[Law, ...] = ()
     components: Components | None = None
     notices: tuple[Notice, ...] = ()
-    _predictors: dict[tuple[str, str], Predictor] = field(default_factory=dict, compare=False)
 
     @property
     def title(self) -> str:
@@ -105,15 +104,6 @@ class Cohort(Result):
             write_cohort(stage, self, {"ears": [ear.folder for ear in self.ears]})
         return tuple(outputs.folder / name for name in FILES)
 
-    def _logs(self) -> LogTable:
-        if self.table is None:
-            raise StapeskitError.of("the cohort", f"of at least {LEAST_EARS} ears", len(self.ears))
-        return self.table
-
-    def pairs(self, law: Law) -> LogPairs:
-        """Return the logarithms of the ears that have both quantities of a law."""
-        return self._logs().pairs(law.response, law.predictor)
-
     def law(self, response: str, predictor: str) -> Law:
         """Return a law, by whole names or their beginnings: ``law("K11", "mass")``.
 
@@ -152,7 +142,7 @@ class Cohort(Result):
         StapeskitError
             There is no such law, or the scan lacks the predictor, or a covariate is missing.
         """
-        law, table = self.law(response, predictor), self._logs()
+        law, table = self.law(response, predictor), self.table
         content = _mass_content(mass)
         side = content["frames"].get("side") or ""
         # no folder of the cohort: an error that is named after its ear is one of this ear alone
@@ -162,33 +152,23 @@ class Cohort(Result):
             raise StapeskitError.of(law.predictor, "in mass.json", "none")
         column = alone.column(law.predictor)
         # What the ear shares with the cohort is in its law; what it shares with none of it is its own error.
-        foreign = [k for k, source in enumerate(alone.sources) if source not in table.sources]
+        foreign = [
+            k for k, source in enumerate(alone.sources) if table is None or source not in table.sources
+        ]
         variance = alone.own[0, column, column] + np.sum(alone.shared[0, column, foreign] ** 2)
-        columns = table.covariates.of_ear(described(ear)) if table.covariates.names else None
+        columns = None if table is None else table.covariates.of_ear(described(ear))
         x = float(alone.values[0, column])
-        return self.predictor(law).predict(x, float(variance), self.pairs(law).shared_variance, columns)
-
-    def tolerance(self, response: str, predictor: str = "mass") -> tuple[float, float]:
-        """Return the 95 % range of ln of a response over ears of this population: "is this ear normal".
-
-        It is one of true values, and is wider by the errors that the ears share.
-        """
-        law = self.law(response, predictor)
-        return self.predictor(law).tolerance(self.pairs(law).shared_variance)
-
-    def predictor(self, law: Law) -> Predictor:
-        """Return the predictive distribution of a law, computed once."""
-        key = (law.response, law.predictor)
-        if key not in self._predictors:
-            self._predictors[key] = Predictor(self.pairs(law))
-        return self._predictors[key]
+        return law.predictive.predict(x, float(variance), law.pairs.shared_variance, columns)
 
     def normal_ranges(self) -> dict[str, tuple[float, float]]:
-        """Return the 95 % range (SI) of each response over ears of this population, by its planned law."""
+        """Return the 95 % range (SI) of each response over ears of this population, by its planned law.
+
+        It is one of true values, and is wider by the errors that the ears share: "is this ear normal".
+        """
         ranges: dict[str, tuple[float, float]] = {}
         for law in self.primary:
             if law.response not in ranges:
-                low, high = np.exp(self.tolerance(law.response, law.predictor))
+                low, high = np.exp(law.predictive.tolerance(law.pairs.shared_variance))
                 ranges[law.response] = (float(low), float(high))
         return ranges
 

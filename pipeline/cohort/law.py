@@ -10,13 +10,17 @@ Thompson 1971, doi:10.1093/biomet/58.3.545).
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import inf
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stapeskit.arrays import Array, finite_or_none
+
+if TYPE_CHECKING:
+    from pipeline.cohort.predict import Predictor
 
 # Natural logarithms of scatter are kept within these: e^-9 is far below, e^2.5 far above what ears can show.
 _LOWEST, _HIGHEST = -9.0, 2.5
@@ -255,6 +259,8 @@ class Law:
         Correlation of ears of one person; 0 where no person has two.
     reliability : float
         tau^2 / (tau^2 + s^2) with s^2 the median variance of the errors of ln x: near 0, x is not resolved.
+    pairs : LogPairs
+        The ears that it is fitted to.
     response, predictor, family : str
         Names of y and x; ``primary`` (planned) or ``exploratory``.
     prediction_error : float
@@ -272,11 +278,19 @@ class Law:
     sigma_interval: tuple[float, float]
     rho: float
     reliability: float
+    pairs: LogPairs = field(repr=False, compare=False)
     response: str = ""
     predictor: str = ""
     family: str = "exploratory"
     prediction_error: float = float("nan")
     q_value: float = float("nan")
+
+    @cached_property
+    def predictive(self) -> Predictor:
+        """Distribution of the response of further ears."""
+        from pipeline.cohort.predict import Predictor
+
+        return Predictor(self.pairs)
 
     @property
     def unbounded(self) -> bool:
@@ -347,6 +361,7 @@ def fit_law(pairs: LogPairs, level: float = 0.95) -> tuple[Law, Profile]:
         sigma_interval=scatter_interval(pairs, b, level, rho),
         rho=rho,
         reliability=tau**2 / (tau**2 + error) if error > 0.0 else 1.0,
+        pairs=pairs,
     )
     return law, profile
 
