@@ -11,9 +11,9 @@ import tomlkit
 
 from ct_inertia.options import MassOptions
 from pipeline.study import TABLES, About, scan_of_ear
+from stapeskit.documents import read_json
 from stapeskit.faults import StapeskitError
 from stapeskit.options import read_toml
-from stapeskit.documents import read_json
 
 SEARCH = ("labels", "threshold", "seed_mm", "box_mm")
 """Keys of [scan] that the stapes is sought by; labels that are drawn take their place."""
