@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ from pipeline.cohort.ears import Ear, read_ears, unique_names
 from pipeline.cohort.law import Law
 from pipeline.cohort.laws import LEAST_EARS, components_of, fit_laws, unresolved
 from pipeline.cohort.logs import LogTable, log_table
-from pipeline.cohort.predict import Prediction
+from pipeline.cohort.predict import Prediction, Predictor
 from stapeskit.faults import StapeskitError, raise_all
 from stapeskit.records.measured_mass import measured_mass
 from stapeskit.results import Result
@@ -52,6 +52,7 @@ class Cohort(Result):
     laws: tuple[Law, ...] = ()
     components: Components | None = None
     notices: tuple[Notice, ...] = ()
+    _predictors: dict[tuple[str, str], Predictor] = field(default_factory=dict, compare=False)
 
     @property
     def title(self) -> str:
@@ -158,7 +159,14 @@ class Cohort(Result):
         variance = alone.own[0, column, column] + np.sum(alone.shared[0, column, foreign] ** 2)
         columns = None if table is None else table.covariates.of_ear(described(ear))
         x = float(alone.values[0, column])
-        return law.predictive.predict(x, float(variance), law.pairs.shared_variance, columns)
+        return self.predictor(law).predict(x, float(variance), law.pairs.shared_variance, columns)
+
+    def predictor(self, law: Law) -> Predictor:
+        """Return the predictive distribution of a law, computed once."""
+        key = (law.response, law.predictor)
+        if key not in self._predictors:
+            self._predictors[key] = Predictor(law.pairs)
+        return self._predictors[key]
 
     def normal_ranges(self) -> dict[str, tuple[float, float]]:
         """Return the 95 % range (SI) of each response over ears of this population, by its planned law.
@@ -168,7 +176,7 @@ class Cohort(Result):
         ranges: dict[str, tuple[float, float]] = {}
         for law in self.primary:
             if law.response not in ranges:
-                low, high = np.exp(law.predictive.tolerance(law.pairs.shared_variance))
+                low, high = np.exp(self.predictor(law).tolerance(law.pairs.shared_variance))
                 ranges[law.response] = (float(low), float(high))
         return ranges
 

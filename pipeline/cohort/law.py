@@ -10,17 +10,13 @@ Thompson 1971, doi:10.1093/biomet/58.3.545).
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stapeskit.arrays import Array, finite_or_none
-
-if TYPE_CHECKING:
-    from pipeline.cohort.predict import Predictor
 
 # Natural logarithms of scatter are kept within these: e^-9 is far below, e^2.5 far above what ears can show.
 _LOWEST, _HIGHEST = -9.0, 2.5
@@ -284,13 +280,6 @@ class Law:
     family: str = "exploratory"
     prediction_error: float = float("nan")
     q_value: float = float("nan")
-
-    @cached_property
-    def predictive(self) -> Predictor:
-        """Distribution of the response of further ears."""
-        from pipeline.cohort.predict import Predictor
-
-        return Predictor(self.pairs)
 
     @property
     def unbounded(self) -> bool:

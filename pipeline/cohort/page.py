@@ -133,7 +133,7 @@ def laws_figure(cohort: Cohort, laws: Sequence[Law]) -> Figure:
 
 def _draw_law(panel: Any, cohort: Cohort, law: Law) -> None:
     words, predictor_unit = _PREDICTORS[law.predictor]
-    pairs, predictor = law.pairs, law.predictive
+    pairs, predictor = law.pairs, cohort.predictor(law)
     unit = _response_unit(law.response, cohort.ears)
     across, up = predictor_unit.per_si, unit.per_si
     angle = np.linspace(0.0, 2.0 * np.pi, 41)
