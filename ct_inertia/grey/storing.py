@@ -261,7 +261,7 @@ def stored_level(
     sd = reach
     for _ in range(_ZOOMS):
         levels, logs = (np.linspace(m - r, m + r, n) for m, r, n in zip(middle, reach, _GRID, strict=True))
-        scale = np.exp(logs)[None, :, None]
+        scale = np.exp(np.clip(logs, *np.log(size * np.array([1e-6, 1e6]))))[None, :, None]
         share = ndtr((upper - levels[:, None, None]) / scale) - ndtr((lower - levels[:, None, None]) / scale)
         fit = np.log((1.0 - _STRAY) * share + _STRAY / max(len(count), 10)) @ (count / max(correlation, 1.0))
         if noise is not None:

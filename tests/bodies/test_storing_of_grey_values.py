@@ -51,10 +51,12 @@ def test_a_wide_range_with_fine_steps_needs_nothing():
     assert find_storing(np.concatenate([air, bone]), air, bone, 1.0) is None
 
 
-def test_a_material_of_one_value_has_that_level():
+def test_air_of_one_value_beside_noise_is_open():
+    """Noise of bone, none of air: the export has clipped all of it, and nothing tells how far below it lies."""
     bone = np.random.default_rng(3).normal(30000.0, 400.0, 5000)
-    storing = find_storing(np.concatenate([np.zeros(5000), bone]), np.zeros(5000), bone, 1.0)
-    assert storing.air.level == pytest.approx(0.0, abs=4.0 * storing.air_sd)
+    with pytest.raises(StapeskitError) as error:
+        find_storing(np.concatenate([np.zeros(5000), bone]), np.zeros(5000), bone, 1.0)
+    assert error.value.faults[0].thing == "the range of the grey values"
 
 
 def test_levels_that_are_open_are_refused():
