@@ -172,7 +172,7 @@ def si_unit(letter: str, first: str, second: str, exponent: float | None = 1.0) 
     Examples
     --------
     >>> si_unit("K", "y", "y"), si_unit("D", "y", "alpha"), si_unit("D", "alpha", "alpha")
-    ('N/m', 'N s', 'N m s/rad')
+    ('N/m', 'N s', 'N s m/rad')
     """
     symbol = _SI_STIFFNESS[_is_rotation(first) + _is_rotation(second)]
     return _with_time(symbol, exponent) if letter == "D" else symbol
@@ -212,6 +212,5 @@ def _is_rotation(dof: str) -> bool:
 
 def _with_time(symbol: str, exponent: float | None) -> str:
     """Multiply a unit by a power of time: viscous damping has 1, hysteretic 0, None any."""
-    numerator, slash, denominator = symbol.partition("/")
     power = " s^a" if exponent is None else {0.0: "", 1.0: " s"}.get(exponent, f" s^{exponent:.3g}")
-    return numerator + power + slash + denominator
+    return symbol.replace("N", f"N{power}", 1)
