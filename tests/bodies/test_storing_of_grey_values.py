@@ -52,7 +52,7 @@ def test_a_wide_range_with_fine_steps_needs_nothing():
 
 
 def test_air_of_one_value_beside_noise_is_open():
-    """Noise of bone, none of air: the export has clipped all of it, and nothing tells how far below it lies."""
+    """The export has clipped all of the air: nothing tells how far below it lies."""
     bone = np.random.default_rng(3).normal(30000.0, 400.0, 5000)
     with pytest.raises(StapeskitError) as error:
         find_storing(np.concatenate([np.zeros(5000), bone]), np.zeros(5000), bone, 1.0)
