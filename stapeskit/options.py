@@ -86,7 +86,8 @@ class Opt:
         if re.fullmatch(r"\d+,\d+", text) and self.kind.fits(text.replace(",", ".")):
             step = f"Write a decimal point: {text.replace(',', '.')}"
         if not step and self.example is not None:
-            shown = on_command_line(self.example) if called.startswith("--") else toml(self.example)
+            between = "-" if self.kind.metavar == "F1-F2" else ","
+            shown = on_command_line(self.example, between) if called.startswith("--") else toml(self.example)
             step = f"Write for example {shown}"
         return Fault(called, self.kind.expected, text, where, step)
 
@@ -178,8 +179,24 @@ class Options:
         raise_all(faults)
         made = cls(**found)
         broken = [rule.fault for rule in cls.rules if rule.breaks(made)]
-        raise_all(fault if isinstance(fault, Fault) else fault(made) for fault in broken)
+        raise_all(
+            cls._as_called(fault if isinstance(fault, Fault) else fault(made), called, where)
+            for fault in broken
+        )
         return made
+
+    @classmethod
+    def _as_called(cls, fault: Fault, called: Mapping[str, str], where: str) -> Fault:
+        """Return a fault of a rule, which names flags, with the names that the reader of a file knows."""
+        if not where:
+            return fault
+        names = {entry.flag: called[entry.key] for entry in cls.entries()}
+        texts = {
+            part: re.sub(r"--[a-z-]+", lambda flag: names.get(flag[0], flag[0]), getattr(fault, part))
+            for part in ("thing", "expected", "next_step")
+        }
+        thing = names.get(texts["thing"], texts["thing"])
+        return replace(fault, **(texts | {"thing": thing}), where=str(fault.where) or where)
 
     def given(self) -> dict[str, Any]:
         """Return what differs from its default, by key, as JSON has it: for the provenance of a result."""
@@ -271,11 +288,11 @@ def toml(value: Any) -> str:
     return json.dumps(str(value), ensure_ascii=False)
 
 
-def on_command_line(value: Any) -> str:
+def on_command_line(value: Any, between: str = ",") -> str:
     """Write a value as on the command line; of several rows the first."""
     if isinstance(value, list | tuple):
         first = value[0] if value and isinstance(value[0], list | tuple) else value
-        return ",".join(map(on_command_line, first))
+        return between.join(map(on_command_line, first))
     return str(value)
 
 

@@ -182,6 +182,23 @@ def test_the_template_is_a_study_that_can_be_read(scan_file: Path, tmp_path: Pat
     assert Fit.from_study(content["fit"], "study.toml", tmp_path).exclude_hz == ((45.0, 55.0),)
 
 
+@pytest.mark.parametrize("stated", ["2+-3", "1900"])
+def test_a_broken_rule_is_told_by_the_key_and_file_of_a_study(tmp_path: Path, stated: str) -> None:
+    from ct_inertia.options import MassOptions
+
+    (tmp_path / "stapes.stl").touch()
+    values = {"file": "stapes.stl", "density_kg_m3": stated, "threshold": 300.0}
+    with pytest.raises(StapeskitError) as raised:
+        MassOptions.from_study(values, "study.toml", tmp_path)
+    assert "scan.threshold" in [fault.thing for fault in raised.value.faults]
+    assert all(fault.where == "study.toml" and "--" not in str(fault) for fault in raised.value.faults)
+
+
+def test_an_unfit_range_is_answered_as_it_is_written_on_the_command_line(scan_file: Path) -> None:
+    with pytest.raises(StapeskitError, match="45-55"):
+        parsed("scan.tif --exclude 55-45")
+
+
 def test_a_function_shows_every_option_with_its_default(scan_file: Path) -> None:
     @with_options(Scan, Fit)
     def ct2mass(scan: str, **options: object) -> None:
