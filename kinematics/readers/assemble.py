@@ -24,6 +24,7 @@ Take = tuple[str, str]
 """Run and repeat."""
 
 _SAME_PLACE_M = 1e-6  # positions written with four digits
+_MOST_HIDDEN = 0.5  # share of values up to which the noise of a usual channel is known
 _ONE_RUN = "Name different excitations with --run NAME=FILE, or leave one of the two out"
 
 
@@ -179,7 +180,8 @@ def _body(
 ) -> BodyChannels:
     """Arrange the rows of one body by run, channel and line; what it did not use is added to the notices.
 
-    Where some sd are absolute, values whose sd lacks a factor have none.
+    Where some sd are absolute, values whose sd lacks a factor have none. Where the last digit of coherence
+    hides the noise of most values, that of the body is known up to a factor.
     """
     name, first = rows[0].body, dict[object, Row]()
     for row in rows:
@@ -197,6 +199,13 @@ def _body(
             spread[place][own] = np.asarray(row.sd)[own]
     positions = _positions(rows, points)
     unused = int(np.sum(np.isnan(spread) & ~np.isnan(value.real)))
+    hidden = float(np.mean([row.hidden for row in noisy if row.relative == relative])) if noisy else 0.0
+    if 0.0 < hidden <= _MOST_HIDDEN and not relative:
+        text = (
+            f"the coherence of {100.0 * hidden:.2g} % of the values of body {name} is 1 within its last "
+            "digit: their noise may be smaller than stated."
+        )
+        notices.append(Notice("file_read", text))
     if noisy and unused:
         text = f"{unused} values of body {name} have no standard deviation and were not used."
         notices.append(Notice("file_read", text))
@@ -208,7 +217,7 @@ def _body(
         np.array([row.direction for row in first.values()]),
         value,
         spread if noisy else None,
-        relative,
+        relative or hidden > _MOST_HIDDEN,
         np.array([listed.get((name, row.point), np.nan) for row in first.values()], dtype=float),
     )
 

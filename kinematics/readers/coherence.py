@@ -9,7 +9,6 @@ from stapeskit.arrays import Array
 _MOST_DECIMALS = 6
 _FLOAT32 = 6e-8  # rounding of a coherence that was stored in single precision
 _COARSE = 1.5  # last digits of 1 - g2 below which it is known to no better than a third
-_MOST_COARSE = 0.1  # share of such values up to which the rest still tell the size of the noise
 
 
 def last_digit(coherence: Array) -> float:
@@ -37,7 +36,7 @@ def unexplained_power(coherence: Array) -> Array:
     return np.asarray(np.fmax(left, np.where(np.isfinite(left), least, np.nan)))
 
 
-def is_coarse(coherence: Array) -> bool:
-    """Return whether rounding hides the size of the noise of more than a tenth of the values."""
+def share_hidden(coherence: Array, digit: float) -> float:
+    """Return the share of the values of which a last digit ``digit`` hides the size of the noise."""
     left = 1.0 - coherence[np.isfinite(coherence)]
-    return bool(left.size and np.mean(left < _COARSE * last_digit(coherence)) > _MOST_COARSE)
+    return float(np.mean(left < _COARSE * digit)) if left.size else 0.0

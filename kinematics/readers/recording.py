@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kinematics.measurement import QUANTITIES, direction_name
-from kinematics.readers.coherence import is_coarse, unexplained_power
+from kinematics.readers.coherence import last_digit, share_hidden, unexplained_power
 from kinematics.readers.units import SI_UNITS, MotionUnit
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Place
@@ -50,6 +50,8 @@ class Row:
         Ordinary coherence, 0 to 1; number of averages.
     relative : bool
         ``sd`` is known up to one factor.
+    hidden : float
+        Share of the values whose noise is below what the decimals of their coherence show.
     where, source, file : Place or str
         Place, column or variable, and file, for messages.
     """
@@ -67,6 +69,7 @@ class Row:
     coherence: Array | float | None = None
     n_avg: Array | float | None = None
     relative: bool = False
+    hidden: float = 0.0
     where: Place | str = ""
     source: str = ""
     file: str = ""
@@ -204,9 +207,8 @@ class Recording:
     def with_noise(self) -> Recording:
         """Return the recording with the sd that follows from what its file states.
 
-        Coherence without a number of averages, or with few decimals, and averages alone give an sd up to one
-        factor (``relative``). The coherence of a single average is 1 by construction and says nothing; NaN
-        where nothing is known.
+        Coherence without a number of averages and averages alone give an sd up to one factor (``relative``).
+        The coherence of a single average is 1 by construction and says nothing; NaN where nothing is known.
         """
         coherence, counts = self.coherence, self.n_avg
         nothing = coherence is None and counts is None
@@ -214,7 +216,7 @@ class Recording:
         if self.sd is not None or nothing or single:
             return self
         averages = np.ones((len(self.rows), len(self.freq_hz))) if counts is None else counts
-        sd, relative = 1.0 / np.sqrt(averages), True
+        sd, relative, hidden = 1.0 / np.sqrt(averages), True, [0.0] * len(self.rows)
         if coherence is not None:
             left = unexplained_power(coherence)
             if np.all(np.isnan(left)):
@@ -222,8 +224,13 @@ class Recording:
             # Bendat and Piersol 2010, Random Data, section 9.2: the sd of the real (= imaginary) part
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 sd = np.abs(self.value) * np.sqrt(left / (2.0 * averages * coherence))
-            sd, relative = np.where(np.isfinite(sd), sd, np.nan), counts is None or is_coarse(coherence)
-        rows = [replace(row, sd=own, relative=relative) for row, own in zip(self.rows, sd, strict=True)]
+            sd, relative = np.where(np.isfinite(sd), sd, np.nan), counts is None
+            digit = last_digit(coherence)
+            hidden = [share_hidden(own, digit) for own in coherence]
+        rows = [
+            replace(row, sd=own, relative=relative, hidden=share)
+            for row, own, share in zip(self.rows, sd, hidden, strict=True)
+        ]
         return replace(self, rows=tuple(rows))
 
     def to_frame(self) -> DataFrame:

@@ -231,6 +231,23 @@ def test_coherence_written_with_few_decimals(tmp_path, decimals, absolute):
     assert np.all((ratio > 1 / 3) & (ratio < 3)) or not absolute
 
 
+def test_one_channel_whose_coherence_rounds_to_1_leaves_the_noise_of_the_others_stated(tmp_path):
+    """A body is coarse by most of its values; another body of the file changes nothing."""
+    near_1, others = np.random.default_rng(4).uniform(0.9996, 0.9999, 20), [0.913, 0.807] * 10
+    rows = [
+        f"{body},{point},0,0,0,y,{100 + line},1,0,{gamma:.3f},16"
+        for body, quiet in (("stapes", (1,)), ("base", (1, 2, 3)))
+        for point in (1, 2, 3, 4)
+        for line, gamma in enumerate(near_1 if point in quiet else others)
+    ]
+    measured = read_measurement([table(tmp_path, rows, f"{HEAD},coherence,n_avg")])
+    stapes, base = measured.bodies
+    assert not stapes.relative
+    assert base.relative
+    assert np.allclose(stapes.sd[0, 1, 0], np.sqrt(0.087 / (2 * 16 * 0.913)))
+    assert any("last digit" in notice.text and "stapes" in notice.text for notice in measured.notices)
+
+
 def test_coherence_of_1_throughout_says_nothing(tmp_path):
     rows = [f"{row},1,16" for row in ROWS]
     assert read_measurement([table(tmp_path, rows, f"{HEAD},coherence,n_avg")]).bodies[0].sd is None
