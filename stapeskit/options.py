@@ -81,6 +81,8 @@ class Opt:
 
     def fault(self, got: Any, called: str, where: str = "") -> Fault:
         """Return the fault of an unfit value."""
+        if isinstance(got, list) and not (where and self.kind.is_path):  # of several, those that are unfit
+            got = [one for one in got if not self.kind.fits(one)] or got
         text = str(got[0] if isinstance(got, list) and len(got) == 1 else got)
         step = self.kind.step
         if re.fullmatch(r"\d+,\d+", text) and self.kind.fits(text.replace(",", ".")):

@@ -195,8 +195,9 @@ def test_a_broken_rule_is_told_by_the_key_and_file_of_a_study(tmp_path: Path, st
 
 
 def test_an_unfit_range_is_answered_as_it_is_written_on_the_command_line(scan_file: Path) -> None:
-    with pytest.raises(StapeskitError, match="45-55"):
-        parsed("scan.tif --exclude 55-45")
+    with pytest.raises(StapeskitError, match="45-55") as raised:
+        parsed("scan.tif --exclude 10-20 --exclude 55-45")
+    assert [fault.got for fault in raised.value.faults] == ["55-45"]
 
 
 def test_a_function_shows_every_option_with_its_default(scan_file: Path) -> None:
