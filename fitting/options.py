@@ -60,7 +60,13 @@ class KDOptions(Options):
         ),
         Rule(
             lambda v: v.estimator != "ml" and v.damping not in ("viscous", "hysteretic"),
-            Fault("--damping", "viscous or hysteretic unless --estimator is ml", "another", "", "Use ml"),
+            Fault(
+                "--damping",
+                "viscous or hysteretic with --estimator pinv or constrained",
+                "another law",
+                "",
+                "Take --estimator ml",
+            ),
         ),
         Rule(
             lambda v: (v.lower or v.upper) and v.estimator != "constrained",

@@ -161,16 +161,21 @@ def _placed(stored: Stored, frames: Sequence[_Frame]) -> list[_Frame]:
     Raises
     ------
     StapeskitError
-        They have no positions, their distances are uneven, or they lie beside each other, as a tilted gantry
+        Some have no positions, their distances are uneven, or they lie beside each other, as a tilted gantry
         makes them: their voxels are no boxes.
     """
     places = np.array([frame.numbers("ImagePositionPatient", 3) for frame in frames])
     axes = frames[0].numbers("ImageOrientationPatient", 6)
     direction = np.column_stack([axes[:3], axes[3:], np.cross(axes[:3], axes[3:])])
     heights = places @ direction[:, 2]
+    y, x = frames[0].numbers("PixelSpacing", 2)
+    if not np.any(np.isfinite(heights)):
+        stored.spacing_mm = np.array([x, y, np.nan])
+        return _numbered(stored, frames)
     if not np.all(np.isfinite(heights)) or not np.ptp(heights) > 0.0:
         wanted, step = "at positions (ImagePositionPatient)", "Export them with positions, or as TIFF slices"
-        raise StapeskitError.of("the slices", wanted, "none, or one for all", next_step=step)
+        got = "one for all" if np.all(np.isfinite(heights)) else "none in some of them"
+        raise StapeskitError.of("the slices", wanted, got, next_step=step)
     order = np.argsort(heights, kind="stable")
     steps = np.diff(heights[order])
     middle = float(np.median(steps))
@@ -179,7 +184,6 @@ def _placed(stored: Stored, frames: Sequence[_Frame]) -> list[_Frame]:
         wanted, got = f"even ({middle:.6g} mm)", f"{steps[worst]:.6g} mm after slice {worst + 1}"
         step = "Slices are missing, or several stacks are mixed: export the series again"
         raise StapeskitError.of("the distance of DICOM slices", wanted, got, next_step=step)
-    y, x = frames[0].numbers("PixelSpacing", 2)
     aside = np.abs((places[order] - places[order[0]]) @ direction[:, :2])
     if np.any(aside > _ASIDE * np.array([x, y])):
         wanted = "one behind the other along their normal"
@@ -189,6 +193,31 @@ def _placed(stored: Stored, frames: Sequence[_Frame]) -> list[_Frame]:
     stored.spacing_mm = np.array([x, y, np.mean(steps)])
     stored.origin_mm, stored.direction, stored.anatomical = places[order[0]], direction, True
     return [frames[k] for k in order]
+
+
+def _numbered(stored: Stored, frames: Sequence[_Frame]) -> list[_Frame]:
+    """Return frames without positions in the order of their numbers; the user states their distance.
+
+    Raises
+    ------
+    StapeskitError
+        They have no numbers, or one twice.
+    """
+    numbers = [(frame.numbers("InstanceNumber", 1)[0], frame.number) for frame in frames]
+    single = len({frame.file for frame in frames}) == 1
+    if not single and (np.any(np.isnan(numbers)) or len(set(numbers)) < len(frames)):
+        wanted, step = "at positions or numbered", "Export them with positions, or as TIFF slices"
+        got = "neither ImagePositionPatient nor an InstanceNumber of its own in each"
+        raise StapeskitError.of("the slices", wanted, got, next_step=step)
+    stored.known = "the slices have no positions (ImagePositionPatient)"
+    stored.note(
+        "The slices have no positions: they were stacked in the order of their numbers, as far apart as "
+        "stated.",
+        "slice_positions_missing",
+    )
+    if single:
+        return list(frames)
+    return [frames[k] for k in sorted(range(len(frames)), key=numbers.__getitem__)]
 
 
 def _dtype(frames: Sequence[_Frame]) -> np.dtype[Any]:

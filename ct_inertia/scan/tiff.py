@@ -192,7 +192,9 @@ def _imagej_place(stored: Stored, meta: dict[str, Any], pixels: Array) -> None:
     spacing, known = believed_spacing(np.array([*pixels, depth if depth > 0.0 else np.nan]), unit)
     spacing = spacing * units / unit
     stored.spacing_mm = spacing
-    stored.known = known or f"the ImageJ header says {spacing[0]:.6g} x {spacing[1]:.6g} mm in a slice"
+    stored.known = known or f"the ImageJ header says {spacing[0]:.6g} x {spacing[1]:.6g} mm in a slice" + (
+        f" and slices {depth * unit:.6g} mm apart, whose order is open" if depth < 0.0 else ""
+    )
     zero = np.array([float(meta.get(f"{axis}origin") or 0.0) for axis in "xyz"])
     stored.origin_mm = np.nan_to_num(-zero * spacing, posinf=0.0, neginf=0.0)
 

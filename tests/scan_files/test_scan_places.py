@@ -4,6 +4,7 @@ import gzip
 from itertools import product
 
 import numpy as np
+import pydicom
 import pytest
 import SimpleITK as sitk
 import tifffile
@@ -230,7 +231,7 @@ def test_imagej_zero_is_the_origin_and_a_negative_slice_distance_is_asked_about(
     scan = open_scan(w.imagej(tmp_path / "a.tif", picture(), metadata=stated))
     assert scan.origin_mm == pytest.approx([-2.0 * SPACING[0], 0.0, 3.0 * SPACING[2]])
     fault = refused(w.imagej(tmp_path / "b.tif", picture(), metadata={"spacing": -SPACING[2]}))
-    assert fault.thing == "the voxel spacing"
+    assert (fault.thing, f"{-SPACING[2]:.6g} mm" in fault.got) == ("the voxel spacing", True)
 
 
 def test_ome_positions_give_the_origin_and_a_missing_slice_distance(tmp_path):
@@ -287,6 +288,26 @@ def test_dicom_slices_beside_each_other_are_refused(tmp_path, aside_voxels, good
         assert open_scan(series).shape[0] == 8
     else:
         assert refused(series).thing == "the slices"
+
+
+def without(folder, *keywords):
+    for file in folder.iterdir():
+        head = pydicom.dcmread(file)
+        for keyword in keywords:
+            delattr(head, keyword)
+        head.save_as(file)
+    return folder
+
+
+def test_dicom_slices_without_positions_are_stacked_by_number_at_the_distance_given(tmp_path):
+    array = picture("i2")
+    series = without(w.dicom(tmp_path / "d", array), "ImagePositionPatient")
+    fault = refused(series)
+    assert (fault.thing, "--spacing" in fault.next_step) == ("the voxel spacing", True)
+    scan = open_scan(series, SPACING)
+    assert {"slice_positions_missing", "handedness_unconfirmed"} <= {one.code for one in scan.notices}
+    np.testing.assert_array_equal(scan.read(), array[::-1])  # numbered from the last one
+    assert refused(without(series, "InstanceNumber")).thing == "the slices"
 
 
 def test_density_lines_and_places_of_aim_files(tmp_path):
