@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,8 +11,10 @@ from scipy.special import chdtr, chdtri
 
 from fitting import entries
 from fitting.bands import SIGNIFICANT_P
+from fitting.likelihood import LOAD
 from fitting.options import IGNORE
-from fitting.solve import MISFIT_P
+from fitting.solve import MISFIT_P, Fit, with_covariance
+from fitting.solve import fit as fit_model
 from fitting.uncertainty import effect_of
 from fitting.unknowns import UNKNOWNS
 from stapeskit.arrays import Array
@@ -40,6 +42,7 @@ _OUTCOMES = (
 PISTON_RANGE = (120.0, 3200.0)
 """Published stiffness of the human annular ligament in piston direction, N/m (paper.md, 6, with a margin)."""
 
+_BY_CHANCE = 1e-3  # p-value of a load above which it is not significant
 _HUMAN_KG = (2e-6, 4.5e-6)  # masses of human stapedes
 _MASS_RANGE_KG = (0.5e-6, 10e-6)  # outside it a mass is in another unit, or of something else
 _GYRATION_RANGE_MM = (0.2, 4.0)  # radii of gyration about x, z: half width to height of a stapes
@@ -213,6 +216,14 @@ def _plane(fit: KDFit) -> Iterator[Notice]:
             "by --inplane ignore that the load is small."
         )
         yield Notice("inplane_neglected", text)
+    if others and data.loads_known and fit.options.inplane == IGNORE and fit.options.estimator == "ml":
+        place, change = _most_moved_by_load(fit.found)
+        if change:
+            text = (
+                f"The measured motion {others} is significant but left out; it moves {fit.parameters[place]} "
+                f"by {100.0 * change:.2g} % of sqrt(Xii Xjj). Use --inplane load, or auto."
+            )
+            yield Notice("inplane_neglected", text)
     if fit.plane is not None and not fit.plane.determined:
         share = np.diag(fit.budget["inplane_stiffness"]) / np.maximum(np.diag(fit.covariance), 1e-300)
         text = (
@@ -221,6 +232,20 @@ def _plane(fit: KDFit) -> Iterator[Notice]:
             f"{100.0 * share.max():.0f} % of a variance of K and D."
         )
         yield Notice("inplane_assumed", text)
+
+
+def _most_moved_by_load(found: Fit) -> tuple[int, float]:
+    """Return the entry that moves most when other measured motion is a load, and its share (0: chance)."""
+    other = fit_model(found.data, replace(found.likelihood.model, motion=LOAD), found.theta, found.noise)
+    other = with_covariance(other)
+    count = found.at["entries"].stop
+    change = other.theta[:count] - found.theta[:count]
+    statistic = change @ np.linalg.solve(other.covariance[:count, :count], change)
+    if statistic < max(float(chdtri(count, _BY_CHANCE)), 2.0 * count):
+        return 0, 0.0
+    relative = change / entries.sizes(*entries.split(found.theta[:count], found.likelihood.n))
+    place = int(np.argmax(np.abs(relative)))
+    return place, float(relative[place])
 
 
 def _weak(fit: KDFit) -> Iterator[Notice]:

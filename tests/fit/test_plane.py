@@ -8,7 +8,7 @@ from fitting.entries import diagonal
 from fitting.plane import _posterior_of_stiffness
 from simulate.ligament import draw_ring, ring_ligament
 from stapeskit.spatial import dof_indices
-from tests.fit.fit_cases import fit, ring_ear
+from tests.fit.fit_cases import codes, fit, ring_ear
 
 
 # Seeds whose stiffness is found too small by half: its sd, taken there, was a third of the error.
@@ -36,3 +36,9 @@ def test_a_stiffness_follows_the_compliance_that_was_seen_or_the_usual_one():
     hazard = norm.pdf(below) / norm.sf(below)
     assert mean == pytest.approx(usual + usual_sd * hazard, rel=0.01)
     assert sd == pytest.approx(usual_sd * np.sqrt(1.0 + below * hazard - hazard**2), rel=0.02)
+
+
+@pytest.mark.parametrize(("noise", "told"), [(0.01, True), (3.0, False)])
+def test_motion_in_the_plane_that_is_ignored_is_named_where_it_moves_the_result(noise, told):
+    ear = ring_ear(5, height_mm=0.1, noise=noise, lines=60, shared=False)
+    assert ("inplane_neglected" in codes(fit(ear.motion, ear.mass, inplane="ignore"))) == told
