@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.cohort.compatible import cohort_faults, reasons_to_exclude
+from pipeline.cohort.compatible import cohort_faults, reasons_to_exclude, shared_scans
 from pipeline.cohort.components import Components
 from pipeline.cohort.covariates import covariates_of, described
 from pipeline.cohort.ears import Ear, read_ears, unique_names
@@ -274,7 +274,7 @@ def cohort_of(
     reasons = reasons_to_exclude(ears, use_all)
     names = dict(zip((ear.folder for ear in ears), unique_names(ears), strict=True))
     excluded = (*(failed or {}).items(), *((names[folder], why) for folder, why in reasons.items()))
-    notices = list[Notice]()
+    notices = shared_scans(ears)
     for why in dict.fromkeys(reasons.values()):
         alike = [names[folder] for folder, reason in reasons.items() if reason == why]
         notices.append(Notice("ear_excluded", f"Not in any law: {', '.join(alike)} ({why})."))

@@ -10,6 +10,7 @@ import numpy as np
 
 from pipeline.cohort.ears import Ear
 from stapeskit.faults import Fault
+from stapeskit.warnings import Notice
 
 
 def _measurement(ear: Ear) -> str:
@@ -40,7 +41,6 @@ _ONE_EAR: Mapping[str, Callable[[Ear], Hashable]] = {
     "exactly the same K": lambda ear: str(ear.kd["stiffness_si"]),
     "the same identifier [study] ear": lambda ear: str(ear.about.get("ear", "")),
     "the same subject and side": _subject_and_side,
-    "the same body of the same scan": _body_of_scan,
 }
 """What two ears cannot have in common."""
 
@@ -88,6 +88,20 @@ def cohort_faults(ears: Sequence[Ear], mix: bool = False) -> list[Fault]:
         step = "Make a cohort of each kind" + (", or allow a mixed one with --mix" if may_differ else "")
         faults.append(Fault(f"the {what}", "the same in all ears of a cohort", kinds, "", step))
     return faults
+
+
+def shared_scans(ears: Sequence[Ear]) -> list[Notice]:
+    """Return a warning about ears whose masses come from one body of one scan."""
+    found = []
+    for value, members in _groups(ears, _body_of_scan).items():
+        if value and len(members) > 1:
+            names = ", ".join(ear.name for ear in members)
+            text = (
+                f"Ears with the same body of the same scan: {names}. Either one ear is there more than once, "
+                "or a study names the scan of another ear."
+            )
+            found.append(Notice("scan_shared", text))
+    return found
 
 
 def _groups(ears: Sequence[Ear], key: Callable[[Ear], Hashable]) -> dict[Any, list[Ear]]:

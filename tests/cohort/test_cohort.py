@@ -74,6 +74,16 @@ def test_an_ear_not_to_be_used_enters_no_law_unless_asked(ears):
     assert cohort_of(marked, use_all=True).law("K11", "mass").n == len(ears)
 
 
+def test_ears_of_one_body_of_one_scan_are_named(ears):
+    scan = {"provenance": {"inputs": {"scan": {"hash": "abc"}}}}
+    twice = [replace(ear, mass={**ear.mass, **scan}) for ear in ears[:2]]
+    assert "scan_shared" in {notice.code for notice in cohort_of([*twice, *ears[2:]]).notices}
+    apart = [replace(ear, mass={**ear.mass, "provenance": {
+        "inputs": {"scan": {"hash": "abc"}}, "parameters": {"seed_mm": [float(number), 0.0, 0.0]}
+    }}) for number, ear in enumerate(ears[:2])]  # fmt: skip
+    assert "scan_shared" not in {notice.code for notice in cohort_of([*apart, *ears[2:]]).notices}
+
+
 CHANGES = {
     "twice": lambda ears: [*ears, ears[0]],
     "same motion": lambda ears: [*ears, replace(ears[0], folder="copy")],
