@@ -184,14 +184,19 @@ def _check_place(box: Box, local: Drawn, bright: Mask) -> None:
     """Refuse labels that lie beside their bone, as those of a crop that has lost its place do.
 
     Labels drawn too large or too small hold all of the bone, or nothing else; where neither is true the shift
-    is looked for at which they hold most bone, step by step.
+    is looked for at which they hold most bone, step by step: of the piece that they hold most of, since a
+    wall beside the stapes would draw them.
 
     Raises
     ------
     StapeskitError
         They hold clearly more bone elsewhere.
     """
+    from scipy.ndimage import label
+
     stapes = local == STAPES
+    pieces, _ = label(bright)
+    bright = pieces == 1 + np.argmax(np.bincount(pieces[stapes])[1:]) if np.any(pieces[stapes]) else bright
     held = np.count_nonzero(stapes & bright)
     around = stapes
     for _ in range(int(_DRAWN_VOXELS)):

@@ -1,5 +1,7 @@
 """Label volumes: names and numbers, islands and parts, the same measurement behind them."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation, binary_erosion
@@ -7,7 +9,7 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES
 from ct_inertia.find.find import find_stapes
 from ct_inertia.find.label_numbers import body_numbers
-from ct_inertia.find.labels import label_stapes
+from ct_inertia.find.labels import _check_place, label_stapes
 from ct_inertia.grey.measure import measure
 from ct_inertia.scan.scan import Scan
 from stapeskit.faults import StapeskitError
@@ -106,6 +108,20 @@ def test_labels_beside_their_bone_are_refused_with_the_way_back_and_sloppy_ones_
         labelled = label_stapes(Scan.from_array(other.astype(np.uint8), scan.spacing_mm), scan)
         found = measure(labelled).moments
         assert abs(found.volume_mm3 - exact.volume_mm3) < 4.0 * found.volume_sd_mm3
+
+
+@pytest.mark.parametrize("beside", [2, 4, 7])
+def test_labels_drawn_loosely_beside_a_wall_are_not_drawn_to_it(beside):
+    """Two crura, and a wall of bone as many voxels beside them."""
+    crura = np.zeros((40, 40, 50), dtype=bool)
+    crura[8:32, 17:21, 14:18] = crura[8:32, 17:21, 26:30] = True
+    bright = crura.copy()
+    bright[:, :, 30 + beside : 44 + beside] = True
+    box = SimpleNamespace(spacing_mm=np.full(3, 0.03))
+    loose = (binary_dilation(crura, iterations=2) & ~(bright & ~crura)).astype(np.uint8) * STAPES
+    _check_place(box, loose, bright)
+    with pytest.raises(StapeskitError):
+        _check_place(box, np.roll(crura.astype(np.uint8) * STAPES, 4, axis=1), bright)
 
 
 def test_labels_alone_are_known_to_a_part_of_a_voxel():
