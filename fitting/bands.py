@@ -32,9 +32,9 @@ class BandFactors:
 
     bands_hz: Array  # (bands, 2): first and last line of each band
     stiffness_factor: Array  # (bands,): their means, weighted by information, are 1
-    stiffness_factor_sd: Array  # (bands,): their means, weighted by information, are 1
+    stiffness_factor_sd: Array  # (bands,)
     damping_factor: Array  # (bands,): their means, weighted by information, are 1
-    damping_factor_sd: Array  # (bands,): their means, weighted by information, are 1
+    damping_factor_sd: Array  # (bands,)
     chi2: float  # of all factors being 1
     n_dof: int  # of all factors being 1
     p_value: float  # of all factors being 1
