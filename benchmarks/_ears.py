@@ -35,7 +35,7 @@ from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.records.rigid_motion import RigidMotion
 from stapeskit.spatial import dof_indices, matrix_from_parameters
 
-LINES = 120
+LINES = 120  # of an ear, as version 0.2 had: the tables are compared with its
 ALARMS = {"misfit", "cause_found", "fluid_found", "frequency_dependent"}
 POSITION_SD_MM, REGISTRATION_SD = 0.03, (30e-6, float(np.radians(0.3)))
 DENSITY_SD, CENTRE_SD_M = 0.02, 6e-6

@@ -33,7 +33,7 @@ MARKS = {
 FAULTY = dict(list(MARKS.items())[2:])
 FAULTS = ("none", "one coordinate 0.3 mm off", "one coordinate 1 mm off", "two exchanged", "mirrored")
 FOOTPLATE_MM = np.array([[0.0, 8.0, 0.0]])
-SD_MM = 0.05
+SD_MM = 0.05  # of a mark and coordinate: the accuracy of marks that stapeskit.fiducial_faults takes
 
 
 def drawn_pose(rng: np.random.Generator) -> RigidTransform:

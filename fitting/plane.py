@@ -120,7 +120,7 @@ def in_plane(found: Fit) -> InPlane:
 def _determined(
     found: Fit, likelihood: Likelihood, weak: Prior, theta: Array, covariance: Array, p_value: float
 ) -> InPlane:
-    """Return K_cc and D_cc, SI, as a fit tells them with the usual ratio for a prior.
+    """Combine the fitted K_cc and D_cc, SI, with the usual ratio as their prior.
 
     Where the deflection in the plane drowns in the noise, a stiffness that is much too small fits as well,
     and its sd falls with its square. What noise leaves alike is the compliance: each stiffness is the mean of

@@ -23,7 +23,7 @@ HEAD_M = np.array([0.0, 3.4e-3, 0.0])
 """Where a mass at the head sits: height of a human stapes, 3.2 to 3.8 mm (Sim et al. 2013, JARO 14:159)."""
 
 _HEAD_STEP_M = 0.25e-3  # of the place of that mass, one standard deviation
-_HOLDER_QUALITY = 10.0
+_HOLDER_QUALITY = 10.0  # of a resonance of a holder: a loss factor of a tenth, chosen by judgement
 _HOLDERS = 60  # places of a resonance in a band: steps of less than half a width at half power
 _MOST_STEPS = 120  # places of a step
 _ODD_IN_Z = [3, 8, 9]  # inertial parameters that a mirror image along z changes: m z, Jyz, Jxz

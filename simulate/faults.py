@@ -71,7 +71,13 @@ class TrueState:
         return velocity.conj() if self.conjugated else velocity
 
     def of(self, body: str = "", point: str = "", laser: int = -1) -> list[int]:
-        """Return the channels of a body, point and laser; empty and -1 stand for all; ValueError for none."""
+        """Return the channels of a body, point and laser. An empty name, or -1, selects all.
+
+        Raises
+        ------
+        ValueError
+            There is no such channel.
+        """
         found = [
             c
             for c in range(len(self.body))

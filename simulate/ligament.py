@@ -95,7 +95,7 @@ def damped_alike(ligament: Ligament, law: str, exponent: float | None = None) ->
 
 @dataclass(frozen=True, kw_only=True)
 class Ring:
-    """An elliptic ring of springs and dashpots in a plane of its own around the rim of the footplate."""
+    """Springs and dashpots on an ellipse around the footplate; its plane may lie above the footplate."""
 
     half_axes_mm: tuple[float, float] = (1.4, 0.65)  # along x and z
     # centre of the ring from the footplate centre; its y is the height of the plane

@@ -156,7 +156,7 @@ def noise_of(grey: Grey) -> float:
 
 
 def _outside(grey: Grey) -> tuple[float | None, Mask | None]:
-    """Return a constant that stands for what was not measured, and where; None where there is none.
+    """Find the constant grey value of voxels that were not measured, and its mask; None without one.
 
     A round field of view leaves the corners, a box-shaped one some of the faces: the value is looked for in
     the corners and edges, and must fill whole neighbourhoods, which noise never does. Otherwise the lowest

@@ -6,7 +6,7 @@ import numpy as np
 
 from stapeskit.arrays import Array
 
-_MOST_DECIMALS = 6
+_MOST_DECIMALS = 6  # single precision holds no more
 _FLOAT32 = 6e-8  # rounding of a coherence that was stored in single precision
 _COARSE = 1.5  # last digits of 1 - g2 below which it is known to no better than a third
 

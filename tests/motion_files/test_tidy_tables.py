@@ -162,7 +162,7 @@ def test_a_mistake_is_one_fault_with_its_line(name, tmp_path):
 
 
 def test_a_name_of_another_language_is_one_fault(tmp_path):
-    """It is missing, and has no unit of its own that could be wrong."""
+    """The column is reported as missing; its unit is not."""
     (found,) = faults(table(tmp_path, ROWS, HEAD.replace("freq_hz", "frequenz")))
     assert (found.thing, found.got) == ("the table", "no column freq_hz")
 

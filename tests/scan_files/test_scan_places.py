@@ -379,23 +379,6 @@ def test_white_is_zero_is_inverted_once_in_dicom(tmp_path, kind, line):
     assert np.corrcoef(values.ravel(), ranks.ravel())[0, 1] == pytest.approx(-1.0)
 
 
-def test_a_packed_nifti_is_read_to_its_check_sum(tmp_path):
-    path = w.itk(tmp_path / "a.nii.gz", picture(shape=(50, 50, 50)))
-    content = bytearray(path.read_bytes())
-    content[-6] ^= 1  # of the check sum
-    path.write_bytes(content)
-    assert "a damaged or truncated one" in refused(path).got
-
-
-def test_imagej_values_are_those_that_it_shows(tmp_path):
-    """Signed 16-bit pictures are stored 32768 higher, with the line back in the description."""
-    line = {"cf": 0, "c0": -32768.0, "c1": 1.0}
-    path = w.imagej(tmp_path / "a.tif", picture(), metadata=line)
-    assert np.array_equal(open_scan(path).read(), picture().astype(float) - 32768.0)
-    w.imagej(path, picture(), metadata={"cf": 3})
-    assert "by its function 3" in read_as(open_scan(path))[0]
-
-
 def test_a_transformation_of_amira_is_not_applied_and_that_is_said(tmp_path):
     path = own.amira(tmp_path / "a.am", picture())
     plain = path.read_bytes()
