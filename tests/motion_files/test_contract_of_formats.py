@@ -16,7 +16,7 @@ from tests.motion_files.written_files import FREQ_HZ, OTHERS, PLACES_M, VELOCITY
 WAYS = {**WRITERS, **OTHERS}
 NAMES = [*(entry.name for entry in FORMATS), *OTHERS]
 FORMAT_OF = {"hdf5": "matlab", "points": "psv"}
-SEEDS = 25  # damages of each kind of file; benchmarks/damaged_files.py tries as many as one asks for
+SEEDS = 12  # damages of each kind of file; benchmarks/damaged_files.py tries as many as one asks for
 # Rounding of the formats: digits of the text, and of single precision in a genuine scan.
 TOLERANCE = {"series": 1e-9, "psv": 1e-11, "points": 1e-11, "uff": 1e-11}
 
