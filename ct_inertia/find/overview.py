@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ _MOST_VOXELS = 24_000_000  # bounds the memory: 0.1 GB
 _LAYERS, _SAMPLE = 12, 200_000  # layers and differences that the noise follows from, to 1 %
 _FEW_VALUES = 4  # most grey values of a scan that somebody has thresholded
 _LEAST_PADDING = 0.01  # share of the voxels from which a constant outside is reported
+_LEAST_CORNERS = 4  # of 27 corners, edges and middles that a constant outside fills
 _LEAST_BOX = 4  # sides in coarse voxels of a box of one value, which noise never makes
 _AS_AIR = 3.0  # deviations of noise from the level of air within which a constant is air
 _LOUD = calibrated("overview.loud_noise")
@@ -80,13 +82,15 @@ def look_at(scan: Scan) -> Overview:
         noise = max(0.01 * float(np.ptp(few)) / _FEW_VALUES, 1e-12)
         found = Overview(grey, grid, noise, np.unique(grey).astype(float), is_mask=True)
     else:
-        noise, (padding, outside) = noise_of(grey), _outside(grey)
-        levels = material_levels(grey, noise, grid.voxel_mm3, outside)
-        if padding is not None and (len(levels) < 2 or abs(padding - levels[0]) < _AS_AIR * noise):
-            padding, outside = None, None  # air that the export has clipped, or set to a constant
+        noise, padding, outside = noise_of(grey), None, None
+        for value, mask in _constants(grey):
+            levels = material_levels(grey, noise, grid.voxel_mm3, mask)
+            if len(levels) > 1 and _is_padding(grey, value, mask, levels, _AS_AIR * noise):
+                padding, outside = value, mask
+                grey[mask] = np.float32(levels[0])
+                break
+        else:
             levels = material_levels(grey, noise, grid.voxel_mm3, None)
-        if outside is not None and len(levels) > 1:
-            grey[outside] = np.float32(levels[0])
         found = Overview(grey, grid, noise, levels, padding, outside)
     if len(found.levels) < 2:
         size, voxel = (
@@ -155,21 +159,40 @@ def noise_of(grey: Grey) -> float:
     return max(float(np.median(moving)) / (0.6745 * np.sqrt(2.0)), floor)
 
 
-def _outside(grey: Grey) -> tuple[float | None, Mask | None]:
-    """Find the constant grey value of voxels that were not measured, and its mask; None without one.
+def _is_padding(grey: Grey, value: float, outside: Mask, levels: Array, near: float) -> bool:
+    """Return whether a constant is no material: it is not the level of air, and ends at materials.
+
+    Air that the export has clipped, or that has no noise, is a constant too. It ends at the blurred edges of
+    bodies, or fades into them.
+    """
+    around = grey[grown(outside) & ~outside][:, None]
+    at_material = np.min(np.abs(around - levels.astype(np.float32)), axis=1) < near
+    at_itself = np.abs(around[:, 0] - np.float32(value)) < near
+    return bool(abs(value - levels[0]) >= near and np.mean(at_material & ~at_itself) > 0.5)
+
+
+def _constants(grey: Grey) -> Iterator[tuple[float, Mask]]:
+    """Find constant grey values of voxels that may not have been measured, with their masks.
 
     A round field of view leaves the corners, a box-shaped one some of the faces: the value is looked for in
-    the corners and edges, and must fill whole neighbourhoods, which noise never does. Otherwise the lowest
-    value counts where it fills boxes, as blocks that a copy has lost do and nothing grown does.
+    the corners and edges, and must fill whole neighbourhoods, which noise never does. Where there is none,
+    the lowest value counts where it fills boxes, as blocks that a copy has lost do and nothing grown does.
     """
+    values, count = np.unique(grey[np.ix_(*[(0, n // 2, n - 1) for n in grey.shape])], return_counts=True)
+    often = [float(value) for value in values[np.argsort(-count)] if count[values == value] >= _LEAST_CORNERS]
+    for value in often or [float(grey.min())]:
+        mask = _outside(grey, value, from_corners=bool(often))
+        if mask is not None:
+            yield value, mask
+
+
+def _outside(grey: Grey, value: float, from_corners: bool) -> Mask | None:
+    """Return where a constant fills the outside of a field of view, or boxes; None where it does neither."""
     import cc3d
 
-    values, count = np.unique(grey[np.ix_(*[(0, n // 2, n - 1) for n in grey.shape])], return_counts=True)
-    from_corners = count.max() >= 4
-    value = float(values[np.argmax(count)] if from_corners else grey.min())
     same = grey == np.float32(value)
     if np.count_nonzero(same) < (_LEAST_PADDING * grey.size if from_corners else _LEAST_BOX**3):
-        return None, None
+        return None
     joined = cc3d.connected_components(same, connectivity=6)  # also slivers that are thinner than two voxels
     facts = cc3d.statistics(joined, no_slice_conversion=True)
     low, high = facts["bounding_boxes"][:, ::2].astype(int), facts["bounding_boxes"][:, 1::2].astype(int)
@@ -186,4 +209,4 @@ def _outside(grey: Grey) -> tuple[float | None, Mask | None]:
     chosen[0] = False
     outside = chosen[joined]
     enough = outside.any() and (not from_corners or np.mean(outside) >= _LEAST_PADDING)
-    return (value, outside) if enough else (None, None)
+    return outside if enough else None

@@ -31,6 +31,9 @@ _NARROWEST = 1e-5  # of the range: a material may be one value throughout, and i
 _GRID, _ZOOMS = (41, 21), 7  # levels and noises that are tried, and how often the grid closes in
 _WITHIN = 6.0  # standard deviations of the posterior that a closer grid reaches to
 _LEAST_DEEP = 200  # voxels of pure bone from which its level is read
+_STILL = 2e-3  # of the contrast: less between neighbours in bone is no noise; scans have 5e-3 and more
+_FAINT, _DIM = 0.01, 0.1  # of the contrast, from an end of the range: the last and the rest of an edge's tail
+_SOFT = 0.25  # faint voxels per dim one: 0.5 to 1.5 where blur fades, 0.11 on the line that a window cuts
 _MODEL_SD = calibrated("storing.model_sd")
 _WITHIN_STEP = calibrated("storing.within_step")
 _NOISE_SD = calibrated("storing.noise_sd")
@@ -41,11 +44,15 @@ _LEAST_KNOWN = calibrated("storing.least_known")
 
 @dataclass(frozen=True)
 class Range:
-    """Lowest and highest stored grey value, and the step between neighbouring ones (0: none)."""
+    """Lowest and highest stored grey value, and the step between neighbouring ones (0: none).
+
+    ``may_clip`` is False for a picture without noise: all of a material has one value in it, its level.
+    """
 
     low: float
     high: float
     step: float
+    may_clip: bool = True
 
     @property
     def rounding(self) -> float:
@@ -59,8 +66,8 @@ class Range:
         Where steps are wide, the highest grey value may be a step that holds all of a material: it is an end
         of the range only where the format ends there.
         """
-        if self.step <= _WIDE_STEP * (self.high - self.low):
-            return True, True
+        if not self.may_clip or self.step <= _WIDE_STEP * (self.high - self.low):
+            return self.may_clip, self.may_clip
         bits = np.log2(max(self.high + self.step, 1.0))
         return self.low == 0.0, bool(abs(bits - np.rint(bits)) < 1e-9)
 
@@ -190,11 +197,14 @@ def storing_around(labelled: Labelled, begin: Start) -> Storing | None:
     deep = depth > np.float32(3.0 * begin.sigma_mm)
     if np.count_nonzero(deep) < _LEAST_DEEP:
         deep = depth > np.float32(0.8 * float(depth.max()))
-    return find_storing(stored, stored[begin.far], stored[deep], begin.correlation)
+    pairs = deep[..., 1:] & deep[..., :-1]
+    steps = np.abs(np.diff(stored.astype(np.float32), axis=-1)[pairs])
+    bone_step = float(np.median(steps)) if steps.size else np.inf
+    return find_storing(stored, stored[begin.far], stored[deep], begin.correlation, bone_step)
 
 
 def find_storing(
-    stored: NDArray[Any], air: NDArray[Any], bone: NDArray[Any], correlation: float
+    stored: NDArray[Any], air: NDArray[Any], bone: NDArray[Any], correlation: float, bone_step: float = np.inf
 ) -> Storing | None:
     """Find what storing did to air and bone; None where neither an end of the range nor steps matter.
 
@@ -206,6 +216,8 @@ def find_storing(
         Those of pure air and of pure bone.
     correlation : float
         Voxels per independent one.
+    bone_step : float
+        Usual difference of neighbours in pure bone, which tells a picture without noise from a clipped one.
 
     Raises
     ------
@@ -220,8 +232,11 @@ def find_storing(
     known = np.unique(stored.ravel()[:: max(1, stored.size // _SAMPLE)]).astype(float)
     step = float(np.diff(known).min()) if 1 < known.size <= _MOST_VALUES else 0.0
     ends = Range(float(stored.min()), float(stored.max()), step)
-    unclipped = replace(ends, step=0.0)
-    if max(unclipped.piles(air)[0], unclipped.piles(bone)[1]) < _PILE and step < _FINE_STEP * _spread(air):
+    piles = replace(ends, step=0.0).piles(air)[0], replace(ends, step=0.0).piles(bone)[1]
+    still = _STILL * float(np.median(bone) - np.median(air))
+    if bone_step < still and _fades(stored, ends, still / _STILL, piles):
+        ends, piles = replace(ends, may_clip=False), (0.0, 0.0)
+    if max(piles) < _PILE and step < (_FINE_STEP * _spread(air) if ends.may_clip else still):
         return None
     levels = [stored_level(values, ends, correlation=correlation) for values in (air, bone)]
     if levels[0].at_low > _HIDDEN:
@@ -231,6 +246,20 @@ def find_storing(
     storing = Storing(ends, levels[0], levels[1])
     _refuse_open(storing)
     return storing
+
+
+def _fades(stored: NDArray[Any], ends: Range, contrast: float, piles: tuple[float, float]) -> bool:
+    """Return whether edges fade into every end of the range at which a material piles up.
+
+    Without noise all of a material has one value and is not clipped: blur fades into it. A picture whose
+    noise lies beyond its window has constant materials as well, but its edges end in them like a line.
+    """
+    for pile, away in zip(piles, (stored - ends.low, ends.high - stored), strict=True):
+        faint = max(_FAINT * contrast, 1.5 * ends.step)
+        at_end, in_tail = (np.count_nonzero((away > 0) & (away < end)) for end in (faint, _DIM * contrast))
+        if pile >= _PILE and at_end <= _SOFT * (in_tail - at_end):
+            return False
+    return True
 
 
 def stored_level(

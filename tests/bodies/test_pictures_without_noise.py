@@ -1,0 +1,58 @@
+"""Phantoms without noise: a constant is a material, not clipped and not padding, whatever its type."""
+
+import numpy as np
+import pytest
+
+from ct_inertia.find.choose import Search
+from ct_inertia.find.find import find_stapes
+from ct_inertia.grey.measure import measure
+from ct_inertia.scan.scan import Scan
+from simulate.ear import Ear
+from simulate.scanner import Scan as Scanner
+from simulate.scanner import render
+from stapeskit.faults import StapeskitError
+
+PICTURES = {
+    "float": ({"dtype": "float32"}, 1e-4),
+    "16 bit": ({}, 1e-4),
+    "8 bit": ({"dtype": "uint8"}, 0.02),
+    "a narrow scale": ({"levels": (100.0, 180.0, 300.0)}, 0.02),
+    "sharp": ({"blur_voxels": 0.0}, 0.02),
+    "round field of view": ({"round_field": True}, 1e-4),
+}
+
+
+def scanned(**options):
+    scanner = Scanner(voxel_um=40.0, noise=0.0, seed=3, **options)
+    placed = scanner.placed(Ear())
+    return Scan.from_array(render(placed, scanner), placed.voxel_mm), placed.solids[0][0].moments().volume_mm3
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_a_picture_without_noise_is_measured(name):
+    options, most_sd = PICTURES[name]
+    scan, volume = scanned(**options)
+    found = measure(find_stapes(scan, Search(None, None)))
+    sd = found.moments.volume_sd_mm3
+    assert abs(found.moments.volume_mm3 - volume) < 4.0 * sd
+    assert sd < most_sd * volume
+    codes = {notice.code for notice in found.notices}
+    assert not codes & {"air_clipped", "bone_clipped", "touches_border", "soft_surroundings"}
+    assert ("file_read" in codes) == ("round_field" in options)
+
+
+def test_a_picture_whose_window_cuts_edges_is_refused():
+    """Without noise as well, air that lies below the window leaves its level open."""
+    with pytest.raises(StapeskitError) as error:
+        measure(find_stapes(scanned(window=(12_000.0, 26_000.0))[0], Search(None, None)))
+    assert error.value.faults[0].thing == "the range of the grey values"
+
+
+def test_air_without_noise_inside_a_padded_circle_is_air():
+    """Both fill corners: the one that ends at materials was not measured."""
+    from ct_inertia.find.overview import look_at
+
+    overview = look_at(scanned(round_field=True)[0])
+    assert overview.padding == 0.0
+    assert overview.levels[0] == pytest.approx(8000.0, rel=0.02)
+    assert np.mean(overview.unmeasured) > 0.05
