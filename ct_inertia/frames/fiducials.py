@@ -63,11 +63,9 @@ def read_plate_fiducials(path: Path) -> PlateFiducials:
     table = read_table(path, choose)
     faults = list(table.faults)
     for column, values in table.numbers.items():
-        for row in np.flatnonzero(~np.isfinite(values)):
-            faults.append(
-                Fault(column, "a finite number", "nothing", table.where(int(row)), "Fill in the cell")
-            )
-    raise_all(faults)
+        for row in np.flatnonzero(~np.isfinite(values) & ~table.invalid_rows(column)).tolist():
+            got = f"{values[row]:g}" if np.isinf(values[row]) else "nothing"
+            faults.append(Fault(column, "a finite number", got, table.where(row), "Fill in the cell"))
     codes, known = table.texts["name"].codes, table.texts["name"].names
     names = tuple(known[code] if code >= 0 else str(row + 1) for row, code in enumerate(codes))
     sd = table.numbers.get("sd_mm")
@@ -79,7 +77,7 @@ def read_plate_fiducials(path: Path) -> PlateFiducials:
         faults.append(Fault("--plate-fiducials", "at least 3 points", len(names), path.name, step))
     if sd is not None and np.any(sd <= 0.0):
         step = "Give the standard deviation of a point in mm, or leave the column out"
-        faults.append(Fault("sd_mm", "positive", float(sd.min()), path.name, step))
+        faults.append(Fault("sd_mm", "positive", f"{np.nanmin(sd):g}", path.name, step))
     raise_all(faults)
     scan = np.column_stack([table.numbers[name] for name in _SCAN])
     plate = np.column_stack([table.numbers[name] for name in _PLATE]) if _PLATE[0] in columns else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,11 @@ from ct_inertia.frames.anatomy import LANDMARK_NAMES
 from ct_inertia.scan.place import mm_per_unit
 from stapeskit.arrays import Array
 from stapeskit.documents import read_json
-from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.faults import Fault, Place, StapeskitError, raise_all
 from stapeskit.tables import read_table
 
-Named = list[tuple[str, Array]]
+Found = Iterator[tuple[str, Any, Array, Place]]
+"""Label, position as the file has it, factors (3,) that lead it to LPS in mm, and place of a point."""
 
 _LPS_FROM = {"LPS": np.array([1.0, 1.0, 1.0]), "RAS": np.array([-1.0, -1.0, 1.0])}
 _NUMBERED = {"0": "RAS", "1": "LPS"}  # as .fcsv writes coordinate systems
@@ -55,27 +56,22 @@ def read_landmarks(path: Path) -> dict[str, Array]:
     if reader is None or not path.is_file():
         step = "Save the landmarks in one of these formats"
         raise StapeskitError.of("--landmarks", "a .mrk.json, .fcsv or .csv file", path.name, next_step=step)
-    return _by_name(reader(path), path.name)
-
-
-def _by_name(points: Iterable[tuple[str, Array]], file: str) -> dict[str, Array]:
     named: dict[str, Array] = {}
-    faults = []
-    for label, point in points:
+    faults: list[Fault] = []
+    for label, values, to_lps, where in reader(path, faults):
         name = "_".join(label.strip().lower().replace("-", " ").replace("_", " ").split())
         name = name.replace("center", "centre")
-        if not np.all(np.isfinite(point)):
-            faults.append(Fault(f"landmark {label}", "three finite numbers", point.tolist(), file, _AGAIN))
-        elif name in named:
-            step = "Rename or remove one of the two"
-            faults.append(Fault(f"landmark {label}", "named once", "a second point of that name", file, step))
-        named[name] = point
+        if name in named:
+            got, step = "a second point of that name", "Rename or remove one of the two"
+            faults.append(Fault(f"landmark {label}", "named once", got, where, step))
+        named[name] = to_lps * _point(values)
+        if not np.all(np.isfinite(named[name])):
+            faults.append(Fault(f"landmark {label}", "at three finite numbers", values, where, _AGAIN))
     raise_all(faults)
     if not named.keys() & set(LANDMARK_NAMES):
         expected, got = f"named out of {', '.join(LANDMARK_NAMES)}", ", ".join(named) or "no point at all"
-        raise StapeskitError.of(
-            "the landmarks", expected, got, file, "Rename them in the program they were set in"
-        )
+        step = "Rename them in the program they were set in"
+        raise StapeskitError.of("the landmarks", expected, got, path.name, step)
     return named
 
 
@@ -88,15 +84,14 @@ def _signs(system: object, file: str) -> Array:
     return _LPS_FROM[written]
 
 
-def _slicer_json(path: Path) -> Named:
+def _slicer_json(path: Path, _: list[Fault]) -> Found:
     try:
-        return [
-            (str(control.get("label", "")), to_lps * _point(control.get("position"), path.name))
-            for markups in read_json(path, "the landmark file", "Save the markups as .mrk.json")["markups"]
-            for to_lps in [_to_lps_mm(markups, path.name)]
-            for control in markups.get("controlPoints", [])
-            if control.get("positionStatus", "defined") == "defined"
-        ]
+        for markups in read_json(path, "the landmark file", "Save the markups as .mrk.json")["markups"]:
+            to_lps = _to_lps_mm(markups, path.name)
+            for number, control in enumerate(markups.get("controlPoints", []), 1):
+                if control.get("positionStatus", "defined") == "defined":
+                    where = Place(path.name, "control point", (number,))
+                    yield str(control.get("label", "")), control.get("position"), to_lps, where
     except (KeyError, TypeError, AttributeError) as fault:
         got, step = "a file without a list of markups", "Save the markups as .mrk.json"
         expected = "a markups file of 3D Slicer"
@@ -115,24 +110,24 @@ def _to_lps_mm(markups: dict[str, Any], file: str) -> Array:
     return _signs(markups.get("coordinateSystem", "LPS"), file) * factor
 
 
-def _point(values: Any, file: str) -> Array:
+def _point(values: Any) -> Array:
+    """Return a position (3,); NaN where it is none."""
     try:
         point = np.array([float(value) for value in values])
     except (TypeError, ValueError, OverflowError):
         point = np.zeros(0)
-    if point.shape != (3,):
-        raise StapeskitError.of("a landmark's position", "three numbers", values, file, _AGAIN)
-    return point
+    return point if point.shape == (3,) else np.full(3, np.nan)
 
 
-def _slicer_fcsv(path: Path) -> Named:
-    to_lps, columns, points = _LPS_FROM["RAS"], list(_FCSV_COLUMNS), []
+def _slicer_fcsv(path: Path, faults: list[Fault]) -> Found:
+    to_lps, columns = _LPS_FROM["RAS"], list(_FCSV_COLUMNS)
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as fault:
         step = "Save the list again in 3D Slicer"
         raise StapeskitError.of("the landmark file", "text in UTF-8", "another", path.name, step) from fault
-    for line in lines:
+    for number, line in enumerate(lines, 1):
+        where = Place(path.name, "line", (number,))
         if line.startswith("#"):
             key, _, value = line[1:].partition("=")
             if key.strip().lower() == "coordinatesystem":
@@ -140,18 +135,16 @@ def _slicer_fcsv(path: Path) -> Named:
             elif key.strip().lower() == "columns":
                 columns = [column.strip() for column in value.split(",")]
         elif line.strip():
-            cells = dict(
-                zip(columns, next(csv.reader([line])), strict=False)
-            )  # labels with commas are quoted
-            if "label" not in cells:
-                step = "Save the list again in 3D Slicer"
-                thing = "a row of an .fcsv file"
-                raise StapeskitError.of(thing, "complete up to its label", line, path.name, step)
-            points.append((cells["label"], to_lps * _point([cells.get(axis) for axis in "xyz"], path.name)))
-    return points
+            row = next(csv.reader([line]))  # labels with commas are quoted
+            cells = dict(zip(columns, row, strict=False))
+            if "label" in cells:
+                yield cells["label"], [cells.get(axis) for axis in "xyz"], to_lps, where
+            else:
+                step, thing = "Save the list again in 3D Slicer", "a row of an .fcsv file"
+                faults.append(Fault(thing, "complete up to its label", line, where, step))
 
 
-def _csv(path: Path) -> Named:
+def _csv(path: Path, faults: list[Fault]) -> Found:
     def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
         missing = [column for column in ("name", *_COLUMNS) if column not in header]
         if missing:
@@ -160,12 +153,17 @@ def _csv(path: Path) -> Named:
         return set(_COLUMNS), {"name"}
 
     table = read_table(path, choose)
-    raise_all(table.faults)
-    names = table.texts["name"]
+    faults += table.faults
+    names, unread = table.texts["name"], table.invalid_rows()
     points = np.column_stack([table.numbers[column] for column in _COLUMNS])
-    labels = [names.names[code] if code >= 0 else "" for code in names.codes]
-    return list(zip(labels, points, strict=True))
+    for row in np.flatnonzero(~unread).tolist():
+        label = names.names[names.codes[row]] if names.codes[row] >= 0 else ""
+        yield label, points[row].tolist(), _LPS_FROM["LPS"], table.where(row)
 
 
-READERS: dict[str, Callable[[Path], Named]] = {".json": _slicer_json, ".fcsv": _slicer_fcsv, ".csv": _csv}
-"""Reader of landmarks by the suffix of their file."""
+READERS: dict[str, Callable[[Path, list[Fault]], Found]] = {
+    ".json": _slicer_json,
+    ".fcsv": _slicer_fcsv,
+    ".csv": _csv,
+}
+"""Reader of landmarks by the suffix of their file; it adds the faults of rows that hold no point."""

@@ -104,6 +104,6 @@ def _with_name(fault: Fault, names: dict[int, str]) -> Fault:
     """Return a fault with the name of the one fiducial whose line is at fault."""
     if not isinstance(fault.where, Place) or len(fault.where.numbers) != 1:
         return fault
-    name = names[fault.where.numbers[0]]
+    name = names.get(fault.where.numbers[0])  # a row that is too short has none
     detail = ", ".join(filter(None, (fault.where.detail, f"fiducial {name}" if name else "")))
     return replace(fault, where=replace(fault.where, detail=detail))

@@ -268,3 +268,34 @@ def test_wrong_landmark_files_are_refused(tmp_path: Path, name: str, text: str, 
     with pytest.raises(StapeskitError) as error:
         read_landmarks(path)
     assert error.value.faults[0].thing == thing
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "expected"),
+    [
+        (
+            "a.csv",
+            "name,x_mm,y_mm,z_mm\nanterior,1,2,x\nhead,,2,3\nhead,1,2,3\nsuperior,1\n",
+            {("z_mm", 2), ("landmark head", 3), ("landmark head", 4), ("a row", 5)},
+        ),
+        (
+            "a.mrk.json",
+            '{"markups": [{"controlPoints": [{"label": "head", "position": [1, "x", 2]}, '
+            '{"label": "head", "position": [1, 2, 3]}, {"label": "anterior", "position": [1]}]}]}',
+            {("landmark head", 1), ("landmark head", 2), ("landmark anterior", 3)},
+        ),
+        (
+            "a.fcsv",
+            "# columns = id,x,y,z,label\n1,1,2,x,head\n2,1\n3,1,2,inf,anterior\n",
+            {("landmark head", 2), ("a row of an .fcsv file", 3), ("landmark anterior", 4)},
+        ),
+    ],
+)
+def test_all_faults_of_a_landmark_file_come_together(
+    tmp_path: Path, name: str, text: str, expected: set[tuple[str, int]]
+) -> None:
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(StapeskitError) as error:
+        read_landmarks(path)
+    assert {(fault.thing, *fault.where.numbers) for fault in error.value.faults} == expected  # type: ignore[union-attr]
