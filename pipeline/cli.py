@@ -71,7 +71,7 @@ def _one(study: Path, chosen: RunOptions) -> Outcome:
 
     from pipeline.report import summary_rows, write_figures
     from pipeline.run import FILES, run_study
-    from stapeskit.command import printable, progress_line
+    from stapeskit.command import progress_line
     from stapeskit.warnings import once
 
     reported: list[Notice] = []
@@ -80,7 +80,7 @@ def _one(study: Path, chosen: RunOptions) -> Outcome:
         fresh = once([*reported, *notices])[len(reported) :]
         reported.extend(fresh)
         for notice in () if chosen.quiet else fresh:
-            sys.stderr.write(printable(f"warning [{notice.code}] {notice.text}\n"))
+            sys.stderr.write(f"warning [{notice.code}] {notice.text}\n")
 
     out = chosen.out or Path(f"{study.stem}_out")
     with progress_line(not chosen.quiet and not chosen.as_json) as progress:

@@ -89,10 +89,11 @@ def _sample(words: list[str]) -> None:
 def _new(words: list[str]) -> None:
     from pipeline.command_options import NewOptions
     from pipeline.new_study import needs, new_study
+    from stapeskit.command import printable
     from stapeskit.command_line import parse
 
     (chosen,) = parse("stapeskit new", "Write a study.toml for the files of a folder.", [NewOptions], words)
-    ask = None if chosen.yes or not sys.stdin.isatty() else input
+    ask = None if chosen.yes or not sys.stdin.isatty() else lambda text: input(printable(text))
     path = new_study(chosen.folder, ask, force=chosen.force)
     missing = needs(path)
     still = f"Before it can run:\n{missing}\n" if missing else ""

@@ -67,9 +67,11 @@ def run(prog: str, work: Callable[[list[str]], Outcome | None]) -> NoReturn:
     for name in ("SIGTERM", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), _interrupt)
-    for stream in (sys.stdout, sys.stderr):
+    streams = (sys.stdout, sys.stderr)
+    for stream in streams:
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
+    sys.stdout, sys.stderr = (_Printable(stream) for stream in streams)
     code = 0
     try:
         outcome = work(sys.argv[1:])
@@ -89,7 +91,9 @@ def run(prog: str, work: Callable[[list[str]], Outcome | None]) -> NoReturn:
 
             traceback.print_exc()
             sentence = f"{prog}: this is a bug in stapeskit; please report it with the lines above."
-        sys.stderr.write(printable(f"{sentence}\n"))
+        sys.stderr.write(f"{sentence}\n")
+    finally:
+        sys.stdout, sys.stderr = streams
     raise SystemExit(code)
 
 
@@ -119,11 +123,25 @@ def printable(text: str) -> str:
     return "".join(letter if letter.isprintable() or letter in "\n\t" else "?" for letter in text)
 
 
+class _Printable:
+    """A stream that writes only what `printable` leaves of a text."""
+
+    def __init__(self, stream: Any) -> None:
+        self.stream = stream
+
+    def write(self, text: str) -> int:
+        """Write a text."""
+        return int(self.stream.write(printable(text)))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
+
 def show(outcome: Outcome) -> None:
     """Print an outcome: JSON, or a table of its rows; notices go to standard error."""
     if not outcome.quiet:
         for notice in outcome.notices:
-            sys.stderr.write(printable(f"warning [{notice.code}] {notice.text}\n"))
+            sys.stderr.write(f"warning [{notice.code}] {notice.text}\n")
         sys.stderr.flush()
     if outcome.json:
         import json
@@ -134,7 +152,7 @@ def show(outcome: Outcome) -> None:
         rows = [*outcome.rows, *written]
         width = max((len(name) for name, _ in rows), default=0)
         lines = [outcome.title, *(f"  {name:<{width}}  {text}" for name, text in rows)]
-        sys.stdout.write(printable("\n".join(lines) + "\n"))
+        sys.stdout.write("\n".join(lines) + "\n")
 
 
 def no_progress(stage: str, share: float | None = None) -> None:
@@ -152,6 +170,7 @@ def progress_line(shown: bool = True) -> Iterator[Progress]:
         return
     import time
 
+    terminal = getattr(sys.stderr, "stream", sys.stderr)
     began = {"": time.monotonic()}
 
     def report(stage: str, share: float | None = None) -> None:
@@ -160,11 +179,11 @@ def progress_line(shown: bool = True) -> Iterator[Progress]:
         more = "" if share is None else f" {100 * share:.0f} %"
         if share is not None and 0.02 < share < 1.0 and passed > 1.0:
             more += f", about {passed * (1.0 - share) / share:.0f} s left"
-        sys.stderr.write(f"{_CLEAR}{now - began['']:5.1f} s  {stage} ...{more}")
-        sys.stderr.flush()
+        terminal.write(f"{_CLEAR}{now - began['']:5.1f} s  {printable(stage)} ...{more}")
+        terminal.flush()
 
     try:
         yield report
     finally:
-        sys.stderr.write(_CLEAR)
-        sys.stderr.flush()
+        terminal.write(_CLEAR)
+        terminal.flush()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import io
 import json
 import os
 import signal
@@ -37,6 +38,15 @@ def work(words):
     if kind == "wait":
         print("ready", flush=True)
         time.sleep(30)
+    if kind == "names":
+        sys.stderr.write("ear " + words[1] + "\\n")
+        if words[2:] == ["bug"]:
+            raise KeyError(words[1])
+        if words[2:] == ["fault"]:
+            raise StapeskitError(Fault(words[1], "a file", words[1], words[1], words[1]))
+        notices = [Notice("touches_border", words[1])]
+        return Outcome(words[1], [("input", words[1])], notices, [Path(words[1])], {"file": words[1]},
+                       json="--json" in words)
     if kind == "long":
         return Outcome("long", [("row", "x" * 50)] * 20000)
     notices = [Notice("touches_border", "The stapes touches the border.")]
@@ -120,11 +130,26 @@ def test_the_front_door_is_light() -> None:
     assert processor_seconds("import stapeskit") - bare < 0.05
 
 
-def test_names_of_files_cannot_steer_the_terminal() -> None:
-    from stapeskit.command import printable
+@pytest.mark.parametrize("end", ["", "fault", "bug", "--json"])
+def test_names_of_files_cannot_steer_the_terminal(end: str) -> None:
+    done = ran("names", "scan\x1b[2J\x07\r\x9b31mµ.tif", end)
+    said = done.stdout + done.stderr
+    assert "scan?[2J" in said
+    assert "µ.tif" in said
+    assert not {letter for letter in said if not letter.isprintable()} - {"\n", "\t"}
 
-    assert printable("scan\x1b[31m.tif\n") == "scan?[31m.tif\n"
-    assert printable("µ ± °\t1") == "µ ± °\t1"
+
+def test_the_line_of_progress_shows_no_control_characters_but_its_own(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from stapeskit.command import progress_line
+
+    terminal = io.StringIO()
+    monkeypatch.setattr(terminal, "isatty", lambda: True)
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with progress_line() as progress:
+        progress("ear\x1b[2J", 0.5)
+    assert terminal.getvalue().replace("\r\x1b[2K", "").isprintable()
 
 
 ROOMS = {"ct2mass": "ct_inertia", "points2dof": "kinematics", "dof2kd": "fitting", "scan2kd": "pipeline"}
