@@ -68,10 +68,10 @@ def points(study: StudyFile) -> None:
     """Lay the measurement into the scan, and look at every beam."""
     from kinematics.options import MotionOptions
     from kinematics.points2dof import measure_motion
-    from stapeskit.records.measured_mass import measured_mass
+    from stapeskit.records.mass import read_mass_json
 
     folder = mass_folder(study)
-    mass = None if folder is None else measured_mass(folder / "mass.json")
+    mass = None if folder is None else read_mass_json(folder / "mass.json")
     options = MotionOptions.from_study(study.tables.get("ldv", {}), study.path.name, study.path.parent)
     result = measure_motion(options, mass, _tell)
     _warn(result.notices)
@@ -85,7 +85,7 @@ def points_content(result: MotionResult) -> dict[str, Any]:
 
     places, fit = [], result.placement.registration
     if result.mass is not None:
-        pose = result.mass.record.scan_from_footplate
+        pose = result.mass.scan_from_footplate
         for point in motion_scene(result).points:
             at = [round(float(value), 4) for value in pose.points(np.asarray(point.position_mm))]
             places.append((point.body, point.verdict, at))

@@ -65,7 +65,7 @@ def whole_study(seed: int) -> Outcome:
         truth = simulate_study(Ear(), Scan(voxel_um=34.0, seed=seed), experiment, folder)
         assert truth.study is not None
         result = scan2kd(truth.study, out=folder / "out")
-        record = result.measured.record
+        record = result.measured
         off = record.scan_from_footplate.translation_mm - truth.scan_from_footplate.translation_mm
         return against(result.fit, truth, record.mass_matrix, 1e3 * float(np.linalg.norm(off)))
 

@@ -182,7 +182,7 @@ def one_study(folder: Path, ear: Ear, scan: Scan, seed: int, scan_name: str, wha
 
 def numbers(result: Any, truth: Truth) -> tuple[tuple[float, float, float], ...]:
     """Return (error, sd, truth) of mass and diagonal entries."""
-    matrix = result.measured.record.mass_matrix
+    matrix = result.measured.mass_matrix
     mass, true = float(matrix.parameters[0]), float(truth.parameters_si[0])
     found = [(mass - true, float(np.sqrt(matrix.covariance[0, 0])), true)]
     deviations = result.fit.standard_deviation

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from ct_inertia.mass.ways import MassByWay
     from ct_inertia.report.pictured import Pictured
     from ct_inertia.scan.scan import Scan
-    from stapeskit.records.measured_mass import MeasuredMass
     from stapeskit.report.page import Page
 
 
@@ -172,11 +171,11 @@ class MassResult(Result):
         """Return the content of mass.json."""
         return self._content
 
-    def measured_mass(self) -> MeasuredMass:
+    def mass_record(self) -> MassRecord:
         """Return mass, frames and surfaces for the steps after this one, without a file."""
-        from ct_inertia.exports.mass_json import measured_mass_of
+        from ct_inertia.exports.mass_json import mass_record_of
 
-        return measured_mass_of(self)
+        return mass_record_of(self)
 
     def to_frame(self) -> DataFrame:
         """Return the entries of the mass matrix, one a row: row, column, value_si, standard_deviation_si."""

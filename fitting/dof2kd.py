@@ -23,9 +23,9 @@ from stapeskit.command import no_progress
 from stapeskit.faults import StapeskitError
 from stapeskit.options import with_options
 from stapeskit.provenance import document_hash, frames_hash, record
+from stapeskit.records.mass import HasMass, MassInput, read_mass
 from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.records.mass_record import MassRecord
-from stapeskit.records.measured_mass import HasMass, MassInput, MeasuredMass, measured_mass
 from stapeskit.records.motion import RigidMotion, read_motion
 from stapeskit.warnings import Notice, unique
 
@@ -147,10 +147,9 @@ def mass_source(mass: Any, options: KDOptions) -> MassSource:
     path = Path(mass) if isinstance(mass, str | os.PathLike) else None
     if path is not None and path.suffix.lower() != ".json":
         return replace(_plain(read_mass_csv(path, options.dof), options), file=path, source=path)
-    if path is not None or isinstance(mass, HasMass | MassRecord | MeasuredMass):
-        measured = measured_mass(mass)
-        known = measured.record
-        return MassSource(known.mass_matrix, known, measured.file, source=measured.provenance_input)
+    if path is not None or isinstance(mass, HasMass | MassRecord):
+        known = read_mass(mass)
+        return MassSource(known.mass_matrix, known, known.file, source=known.provenance_input)
     if isinstance(mass, MassMatrix):
         return MassSource(mass)
     try:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from kinematics.options import NONE, MotionOptions
 from kinematics.results import MotionResult
 from stapeskit.options import with_options
-from stapeskit.records.measured_mass import MassInput, measured_mass
+from stapeskit.records.mass import MassInput, read_mass
 
 if TYPE_CHECKING:
     from kinematics.readers.recording import Recording
@@ -51,7 +51,7 @@ def points2dof(
     file = Path(mass) if isinstance(mass, str | os.PathLike) else None
     found = with_companions(chosen, NONE if mass is not None and file is None else file)
     source = found.mass if mass is None or file is not None else mass
-    known = None if source is None else measured_mass(source)
+    known = None if source is None else read_mass(source)
     return measure_motion(found.options, known, command=["stapeskit.points2dof"], taken=found.taken)
 
 

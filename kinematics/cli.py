@@ -52,13 +52,13 @@ def work(words: Sequence[str]) -> Outcome:
     from kinematics.companions import with_companions
     from kinematics.points2dof import measure_motion
     from kinematics.results import output_set
-    from stapeskit.records.measured_mass import measured_mass
+    from stapeskit.records.mass import read_mass_json
 
     found = with_companions(options, files.mass)
     inputs = [*found.options.inputs().values(), *([found.mass] if found.mass else [])]
     output_set(files.out, inputs, files.force, files.export).check()
     with progress_line(not files.quiet and not files.as_json) as progress:
-        mass = None if found.mass is None else measured_mass(found.mass)
+        mass = None if found.mass is None else read_mass_json(found.mass)
         result = measure_motion(found.options, mass, progress, taken=found.taken)
         progress("drawing the page")
         out, name = files.out.parent, files.out.name

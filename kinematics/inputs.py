@@ -14,7 +14,7 @@ from kinematics.place.placement import check_frame, fit_fiducials
 from kinematics.readers.assemble import read_measurement
 from kinematics.readers.facts import FileFacts
 from stapeskit.faults import Fault, collect_faults, list_some, raise_all
-from stapeskit.records.measured_mass import MeasuredMass
+from stapeskit.records.mass_record import MassRecord
 
 _MOST_CHECKED_BYTES = 4_000_000  # of text: so much is read whole in a quarter of a second
 
@@ -27,19 +27,19 @@ class Inputs:
     measurement: Measurement
     fiducials: Fiducials | None = None
 
-    def files(self, mass: MeasuredMass | None) -> dict[str, Path]:
+    def files(self, mass: MassRecord | None) -> dict[str, Path]:
         """Return every file that was read, by its role."""
         roles = dict(self.options.inputs())
         return roles if mass is None or mass.file is None else {**roles, "mass": mass.file}
 
 
-def read_inputs(options: MotionOptions, mass: MeasuredMass | None) -> Inputs:
+def read_inputs(options: MotionOptions, mass: MassRecord | None) -> Inputs:
     """Read every file of a measurement; their faults come together."""
     faults: list[Fault] = []
     fiducials = _read_fiducials(options, faults)
     with collect_faults(faults):
         if fiducials is not None or options.fiducials_file is None:
-            check_frame(fiducials, options.frame or "footplate", None if mass is None else mass.record)
+            check_frame(fiducials, options.frame or "footplate", mass)
     with collect_faults(faults):
         measurement = _read_channels(options)
         for body in measurement.bodies:

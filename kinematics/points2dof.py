@@ -35,7 +35,7 @@ from kinematics.results import MotionResult
 from stapeskit.command import no_progress
 from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.provenance import frames_hash, record
-from stapeskit.records.measured_mass import MeasuredMass
+from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.rigid_motion import RigidMotion
 from stapeskit.warnings import Notice, unique
 
@@ -50,7 +50,7 @@ microscope."""
 
 def measure_motion(
     options: MotionOptions,
-    mass: MeasuredMass | None = None,
+    mass: MassRecord | None = None,
     progress: Progress = no_progress,
     command: Sequence[str] | None = None,
     taken: Mapping[str, Path] | None = None,
@@ -60,7 +60,7 @@ def measure_motion(
     Parameters
     ----------
     options : MotionOptions
-    mass : MeasuredMass, optional
+    mass : MassRecord, optional
         Frames and surfaces of the scan.
     progress : callable
         Gets the stage at work.
@@ -81,12 +81,12 @@ def measure_motion(
     progress("fitting the motion")
     measurement, repeats = pool_repeats(read.measurement)
     check_extent(measurement)
-    placement = place(read.fiducials, options.frame or "footplate", None if mass is None else mass.record)
+    placement = place(read.fiducials, options.frame or "footplate", mass)
     notices = [] if placement.registration is None else [*placement.registration.notices]
     surfaces = {} if mass is None else surfaces_of(mass)
     checks: tuple[SurfaceCheck, ...] = ()
     if mass is not None:
-        checks, found_off = check_surfaces(measurement, placement, mass.record, surfaces)
+        checks, found_off = check_surfaces(measurement, placement, mass, surfaces)
         notices += found_off
     placed = measurement.mapped(placement.transform)
     if options.reference:
@@ -116,11 +116,11 @@ def measure_motion(
     notices += [*fitted.notices, *fit_notices(fitted.placed, fitted.fits)]
     motion = _motion(fitted, placement, estimate, corrections)
     check_determined(motion)
-    notices += phase_notices(motion, None if mass is None else mass.record)
+    notices += phase_notices(motion, mass)
     if options.reference:
         motion = per_reference(motion, options.reference)
         notices += motion.notices
-    before = () if mass is None else mass.record.notices
+    before = () if mass is None else mass.notices
     before = tuple(replace(notice, text=f"mass: {notice.text}") for notice in before)
     every = unique([*before, *measurement.notices, *notices])
     motion = replace(motion, notices=every, provenance=_provenance(options, read, mass, command, taken))
@@ -258,7 +258,7 @@ def _motion(
 def _provenance(
     options: MotionOptions,
     read: Inputs,
-    mass: MeasuredMass | None,
+    mass: MassRecord | None,
     command: Sequence[str] | None,
     taken: Mapping[str, Path] | None,
 ) -> dict[str, Any]:
@@ -270,7 +270,7 @@ def _provenance(
         parameters["found_beside"] = sorted(taken)
     frames = [options.frame or "footplate"] if read.fiducials is None else [read.fiducials.frame]
     block = record(inputs, parameters, command) | {"registered_in": frames}
-    return block if mass is None else {**block, "frames_hash": frames_hash(mass.record.raw)}
+    return block if mass is None else {**block, "frames_hash": frames_hash(mass.raw)}
 
 
 __all__ = ["MotionResult", "check_inputs", "measure_motion"]

@@ -18,7 +18,7 @@ from kinematics.place.placement import Placement
 from kinematics.place.surfaces import Surface
 from kinematics.repeats import RepeatedRun
 from stapeskit.outputs import Outputs
-from stapeskit.records.measured_mass import MeasuredMass
+from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.motion import motion_frame, write_motion, write_motion_mat
 from stapeskit.records.rigid_motion import RigidMotion
 from stapeskit.results import Result
@@ -56,7 +56,7 @@ class MotionResult(Result):
     errors : ErrorEstimate or None
         Of lasers and positions; with ``--calibrate`` of axes and beams, too.
     repeats : tuple of RepeatedRun
-    mass : MeasuredMass or None
+    mass : MassRecord or None
     surfaces : mapping of str to Surface
     files : tuple of Path
         Every file that was read; `write` never replaces one of them.
@@ -75,7 +75,7 @@ class MotionResult(Result):
     checks: tuple[SurfaceCheck, ...] = ()
     errors: ErrorEstimate | None = None
     repeats: tuple[RepeatedRun, ...] = ()
-    mass: MeasuredMass | None = None
+    mass: MassRecord | None = None
     surfaces: Mapping[str, Surface] = field(default_factory=dict)
     files: tuple[Path, ...] = ()
     taken: Mapping[str, Path] = field(default_factory=dict)

@@ -93,7 +93,7 @@ def moving_stapes(result: StudyResult) -> Scene:
         amplitudes = np.zeros(6, dtype=complex)
         amplitudes[dof_indices(result.fit.dof)] = mode.shape
         modes.append(Motion(f"mode {number}: {mode.frequency_hz:.0f} Hz", amplitudes, mode.frequency_hz))
-    frame = result.measured.record.scan_from_footplate
+    frame = result.measured.scan_from_footplate
     points = [replace(point, position_mm=frame.points(point.position_mm)) for point in measured.points]
     beams = [replace(beam, points_mm=frame.points(beam.points_mm)) for beam in measured.lines]
     return replace(

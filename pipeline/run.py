@@ -20,7 +20,7 @@ from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.outputs import Outputs
 from stapeskit.provenance import record, sha256, versions
 from stapeskit.records.mass import read_mass_json
-from stapeskit.records.measured_mass import MeasuredMass
+from stapeskit.records.mass_record import MassRecord
 from stapeskit.results import Result
 from stapeskit.warnings import Notice, once
 
@@ -54,7 +54,7 @@ class StudyResult(Result):
     study : Study
     out : Path
         Folder of the results.
-    measured : MeasuredMass
+    measured : MassRecord
         Mass, frames and surfaces.
     moved : MotionResult
         Motion of the bodies.
@@ -68,7 +68,7 @@ class StudyResult(Result):
 
     study: Study
     out: Path
-    measured: MeasuredMass
+    measured: MassRecord
     moved: MotionResult
     fit: KDFit
     measured_now: MassResult | None = None
@@ -92,7 +92,7 @@ class StudyResult(Result):
     @property
     def mass(self) -> Mapping[str, Any]:
         """Content of mass.json."""
-        return self.measured.record.raw
+        return self.measured.raw
 
     @cached_property
     def pictured(self) -> Pictured:
@@ -111,7 +111,7 @@ class StudyResult(Result):
     @property
     def notices(self) -> tuple[Notice, ...]:
         """Every warning of all stages, once."""
-        return once([*self.measured.record.notices, *self.moved.notices, *self.fit.notices])
+        return once([*self.measured.notices, *self.moved.notices, *self.fit.notices])
 
     def summary(self) -> Sequence[tuple[str, str]]:
         """Return verdict, mass, K, D and modes."""
@@ -203,7 +203,7 @@ def run_study(
     mass_file = out / FILES["scan"][0]
     same = not force and outputs["scan"].unchanged()
     if same and _is_made_from(json.loads(mass_file.read_text(encoding="utf-8"))["provenance"], study.scan):
-        measured = MeasuredMass(read_mass_json(mass_file), mass_file)
+        measured = read_mass_json(mass_file)
         reused.append("scan")
     else:
         mass = measure_mass(study.scan, progress)
@@ -212,8 +212,8 @@ def run_study(
             for path in stage.iterdir():  # of ct2mass: surfaces and voxels that few have a use for here
                 if path.name not in FILES["scan"]:
                     path.unlink()
-        measured = MeasuredMass(read_mass_json(mass_file), mass_file)
-    tell(measured.record.notices)
+        measured = read_mass_json(mass_file)
+    tell(measured.notices)
 
     moved = measure_motion(study.ldv, measured, progress)
     tell(moved.notices)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,11 +17,11 @@ from stapeskit.arrays import Array
 from stapeskit.provenance import document_hash, record
 from stapeskit.records.mass import mass_json, mass_record
 from stapeskit.records.mass_matrix import MassMatrix
-from stapeskit.records.measured_mass import MeasuredMass
 from stapeskit.spatial import parameter_basis
 
 if TYPE_CHECKING:
     from ct_inertia.results import MassResult
+    from stapeskit.records.mass_record import MassRecord
 
 _OUTLINE_POINTS = 160  # of the footplate's outline in the file, up to twice as many: less than 0.05 mm apart
 
@@ -48,7 +49,7 @@ def mass_content(result: MassResult) -> dict[str, Any]:
     return mass_json(result.record, provenance, further)
 
 
-def measured_mass_of(result: MassResult) -> MeasuredMass:
+def mass_record_of(result: MassResult) -> MassRecord:
     """Return mass, frames and surfaces of a result for the rooms that use a mass.json."""
     content = result.content()
     text = json.dumps(content, indent=1) + "\n"
@@ -63,7 +64,7 @@ def measured_mass_of(result: MassResult) -> MeasuredMass:
     }
     surfaces = {"stapes": result.stapes, "plate": result.plate}
     meshes = {name: (one.vertices_mm, one.faces) for name, one in surfaces.items() if one is not None}
-    return MeasuredMass(mass_record(content), None, meshes, source)
+    return replace(mass_record(content), meshes=meshes, source=source)
 
 
 def budget(matrix: MassMatrix) -> dict[str, dict[str, Any]]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.polydata import arrays_of, polydata
-from stapeskit.records.measured_mass import MeasuredMass
+from stapeskit.records.mass_record import MassRecord
 
 BODIES = ("stapes", "plate")
 
@@ -51,7 +51,7 @@ class Surface:
         return away, gradient / np.where(length > 0.0, length, 1.0)[:, None]
 
 
-def surfaces_of(mass: MeasuredMass) -> dict[str, Surface]:
+def surfaces_of(mass: MassRecord) -> dict[str, Surface]:
     """Return the surfaces of a mass by name, from memory or from the folder of its file.
 
     Raises

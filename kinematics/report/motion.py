@@ -38,7 +38,7 @@ def motion_scene(result: MotionResult) -> Scene:
                 lines.append(Line(point, ends, colour, "beams", shown=False, width=1.0, body=body.body))
     directions = ("anterior", "lateral", "")
     if result.mass is not None:
-        z_is = (result.mass.record.raw.get("frames") or {}).get("z_is") or ""
+        z_is = (result.mass.raw.get("frames") or {}).get("z_is") or ""
         directions = ("anterior", "lateral", "" if z_is == "unknown" else str(z_is))
     caption = (
         "Measured motion in footplate axes, enlarged; colours of points are their verdicts. Choose a "
@@ -58,7 +58,7 @@ def motion_scene(result: MotionResult) -> Scene:
 def _surfaces(result: MotionResult) -> list[Mesh]:
     if result.mass is None:
         return []
-    footplate_from_scan = result.mass.record.scan_from_footplate.inverse()
+    footplate_from_scan = result.mass.scan_from_footplate.inverse()
     moves_with = {"stapes": "stapes", "plate": "base" if "base" in result.motion.bodies else "plate"}
     return [
         Mesh(

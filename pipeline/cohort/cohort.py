@@ -19,7 +19,7 @@ from pipeline.cohort.laws import LEAST_EARS, components_of, fit_laws, unresolved
 from pipeline.cohort.logs import LogTable, log_table
 from pipeline.cohort.predict import Prediction, Predictor
 from stapeskit.faults import StapeskitError, raise_all
-from stapeskit.records.measured_mass import measured_mass
+from stapeskit.records.mass import read_mass
 from stapeskit.results import Result
 from stapeskit.warnings import Notice, unique
 
@@ -295,4 +295,4 @@ def _mass_content(source: Any) -> Mapping[str, Any]:
         return source
     if isinstance(source, str | os.PathLike) and Path(source).is_dir():
         source = Path(source) / "mass.json"
-    return measured_mass(getattr(source, "measured", source)).record.raw
+    return read_mass(getattr(source, "measured", source)).raw

@@ -6,11 +6,12 @@ What defines the body must be possible, and the rest must follow from it: the wr
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -98,7 +99,33 @@ def read_mass_json(path: Path) -> MassRecord:
         The file is missing, is no JSON, has another schema, lacks a key, contradicts itself, or holds a
         matrix that no rigid body can have. Every fault found is listed.
     """
-    return mass_record(read_json(Path(path), "the mass file", MADE_BY), Path(path).name)
+    path = Path(path)
+    return replace(mass_record(read_json(path, "the mass file", MADE_BY), path.name), file=path)
+
+
+@runtime_checkable
+class HasMass(Protocol):
+    """A result that holds a mass record, as that of ct2mass."""
+
+    def mass_record(self) -> MassRecord:
+        """Return mass, frames and surfaces."""
+
+
+MassInput = str | os.PathLike[str] | MassRecord | HasMass
+"""What gives a mass: the path of a mass.json, a record, or a result that holds one."""
+
+
+def read_mass(source: MassInput) -> MassRecord:
+    """Return the mass that a path, a record or a result gives.
+
+    Raises
+    ------
+    StapeskitError
+        The file is not what ct2mass writes; see `read_mass_json`.
+    """
+    if isinstance(source, MassRecord):
+        return source
+    return source.mass_record() if isinstance(source, HasMass) else read_mass_json(Path(source))
 
 
 def mass_record(raw: Mapping[str, Any], name: str = "mass.json") -> MassRecord:

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
@@ -21,6 +23,9 @@ from stapeskit.warnings import Notice
 REDUCED = ("y", "alpha", "gamma")
 """Degrees of freedom of the stapes in the paper: those of the reduced matrix."""
 
+Mesh = tuple[Array, NDArray[np.int64]]
+"""Vertices (n, 3) in scan coordinates, mm, and faces (m, 3)."""
+
 # Relative differences by which redundant numbers of a file may round: seven digits pass, and less digits of
 # standard deviations, correlations and eigenvalues.
 SAME, FLOOR = 1e-6, 1e-5
@@ -28,7 +33,7 @@ SAME, FLOOR = 1e-6, 1e-5
 
 @dataclass(frozen=True)
 class MassRecord:
-    """What a ``mass.json`` says, checked.
+    """Mass, frames and surfaces of a stapes: a checked ``mass.json``, or the same in memory.
 
     Attributes
     ----------
@@ -41,7 +46,13 @@ class MassRecord:
     density_kg_m3, volume_m3 : float or None
         Of the bone, without added masses.
     raw : mapping
-        The whole file.
+        The whole content.
+    file : Path or None
+        The mass.json; surfaces are in its folder. None: everything is in memory.
+    meshes : mapping of str to Mesh
+        ``stapes`` and ``plate``, when they are in memory.
+    source : mapping
+        An entry of ``inputs`` in the provenance of a result, of a mass in memory.
     """
 
     mass_matrix: MassMatrix
@@ -53,6 +64,14 @@ class MassRecord:
     volume_m3: float | None = None
     notices: tuple[Notice, ...] = ()
     raw: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    file: Path | None = None
+    meshes: Mapping[str, Mesh] = field(default_factory=dict, repr=False)
+    source: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def provenance_input(self) -> Path | Mapping[str, Any] | None:
+        """What an input of `stapeskit.provenance.record` is: the file, or the source of a mass in memory."""
+        return self.file or self.source or None
 
     @property
     def plate_from_footplate(self) -> RigidTransform | None:

@@ -24,8 +24,7 @@ from ct_inertia.scan.open_scan import open_labels
 from ct_inertia.surface.surface import Surface
 from simulate import Ear, Scan, Stapes, simulate_study, stapes_solid
 from stapeskit.faults import StapeskitError
-from stapeskit.records.mass import read_mass_json
-from stapeskit.records.measured_mass import measured_mass
+from stapeskit.records.mass import read_mass, read_mass_json
 from stapeskit.registration import displacement
 from stapeskit.sandbox import Session
 from stapeskit.warnings import table
@@ -148,8 +147,8 @@ def test_what_is_written_is_what_was_measured(study: Study, tmp_path: Path) -> N
     record = read_mass_json(tmp_path / "out" / "mass.json")
     np.testing.assert_allclose(record.mass_matrix.matrix, result.matrix.matrix, rtol=1e-12)
     np.testing.assert_allclose(record.mass_matrix.covariance, result.matrix.covariance, rtol=1e-9)
-    memory = measured_mass(result)
-    np.testing.assert_array_equal(memory.record.mass_matrix.parameters, record.mass_matrix.parameters)
+    memory = read_mass(result)
+    np.testing.assert_array_equal(memory.mass_matrix.parameters, record.mass_matrix.parameters)
     assert set(memory.meshes) == {"stapes", "plate"}
     assert set(np.unique(open_labels(tmp_path / "out" / "labels.seg.nrrd")[0])) == {0, 1, 2, 3}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,6 @@ from stapeskit.frames import RigidTransform
 from stapeskit.records.mass import mass_json
 from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.records.mass_record import MassRecord
-from stapeskit.records.measured_mass import MeasuredMass
 from stapeskit.spatial import dof_indices
 
 EAR = Ear()
@@ -28,7 +28,7 @@ def simulated(folder: Path, **experiment) -> Truth:
 
 def mass_of(
     truth: Truth, frame_sd=(0.0, 0.0), draw: np.random.Generator | None = None, plate=True
-) -> MeasuredMass:
+) -> MassRecord:
     """Return the mass of the true scan; with ``draw``, frames that are off by their standard deviation."""
     spread = np.repeat(np.asarray(frame_sd, dtype=float), 3)
 
@@ -44,16 +44,16 @@ def mass_of(
     )
     solids = {"stapes": truth.ear.solid.moved(truth.scan_from_footplate)}
     meshes = {name: (solid.vertices_mm, np.asarray(solid.faces)) for name, solid in solids.items()}
-    return MeasuredMass(record, meshes=meshes)
+    return replace(record, meshes=meshes)
 
 
-def write_mass(folder: Path, mass: MeasuredMass) -> Path:
+def write_mass(folder: Path, mass: MassRecord) -> Path:
     """Write mass.json and the surfaces of a mass into a folder."""
     import trimesh
 
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "mass.json"
-    path.write_text(json.dumps(mass_json(mass.record)))
+    path.write_text(json.dumps(mass_json(mass)))
     for name, (vertices, faces) in mass.meshes.items():
         trimesh.Trimesh(vertices, faces, process=False).export(folder / f"{name}.ply")
     return path
@@ -66,7 +66,7 @@ def options(folder: Path, **given) -> MotionOptions:
     return MotionOptions.of(ldv=folder / "ldv.csv", **(files | given))
 
 
-def measured(folder: Path, mass: MeasuredMass | None = None, **given):
+def measured(folder: Path, mass: MassRecord | None = None, **given):
     """Return the result of points2dof for the files of a folder."""
     return measure_motion(options(folder, **given), mass)
 

@@ -174,7 +174,7 @@ def test_a_mass_in_memory_leaves_the_hash_of_its_frames(ear):
     mass = mass_of(truth)
     result = points2dof(folder / "ldv.csv", mass)
     assert "mass" not in result.taken
-    assert result.motion.provenance["frames_hash"] == frames_hash(mass.record.raw)
+    assert result.motion.provenance["frames_hash"] == frames_hash(mass.raw)
 
 
 def test_the_frames_of_the_fiducials_are_recorded(ear, tmp_path):

@@ -234,14 +234,14 @@ def test_a_sample_that_moved_is_reported_and_far_ones_are_refused(tmp_path):
     for shift_mm, refused in ((0.15, False), (2.5, True)):
         off = truth.scan_from_footplate.matrix.copy()
         off[:3, 3] += shift_mm * np.array([0.6, 0.0, 0.8])
-        moved = replace(result.placement, transform=mass.record.scan_from_footplate.inverse()
+        moved = replace(result.placement, transform=mass.scan_from_footplate.inverse()
                         @ RigidTransform(off, "scan", "footplate") @ result.placement.transform)  # fmt: skip
         source = result.measurement.mapped(replace_frames(result.placement.transform.inverse()))
         if refused:
             with pytest.raises(StapeskitError):
-                check_surfaces(source, moved, mass.record, surfaces_of(mass))
+                check_surfaces(source, moved, mass, surfaces_of(mass))
         else:
-            _, notices = check_surfaces(source, moved, mass.record, surfaces_of(mass))
+            _, notices = check_surfaces(source, moved, mass, surfaces_of(mass))
             assert [notice.code for notice in notices] == ["sample_moved"]
 
 
