@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import Any
 
 import numpy as np
@@ -254,23 +255,41 @@ def _pixels(frame: _Frame, stored: Stored) -> NDArray[Any]:
     Notes
     -----
     SimpleITK reads no classes that the standard does not have; scanners write some of their own, which
-    pydicom reads where the pixels are not packed. Where 0 is white SimpleITK exchanges bright and dark itself
-    (8 and 16 bit) or returns numbers that are none (32 bit): these are read by pydicom as they are stored.
+    pydicom reads where the pixels are not packed, and SimpleITK from a copy under the class of CT images.
+    Where 0 is white SimpleITK exchanges bright and dark itself (8 and 16 bit) or returns numbers that are
+    none (32 bit): these are read as they are stored, in the same two ways.
     """
     import pydicom
-    import SimpleITK as sitk
 
-    sitk.ProcessObject.SetGlobalWarningDisplay(False)
     try:
-        values: NDArray[Any] | None = None
-        if not stored.white_is_zero:
-            with suppress(RuntimeError):
-                values = sitk.GetArrayFromImage(sitk.ReadImage(str(frame.file)))
+        values = None if stored.white_is_zero else _by_itk(frame.file)
         if values is None:
-            values = pydicom.dcmread(frame.file, force=True).pixel_array
-            if stored.dtype.kind == "f":
+            head = pydicom.dcmread(frame.file, force=True)
+            try:
+                values = head.pixel_array
+            except RuntimeError:  # packed
+                with NamedTemporaryFile(suffix=".dcm") as copy:
+                    head.SOPClassUID = head.file_meta.MediaStorageSOPClassUID = pydicom.uid.CTImageStorage
+                    head.PhotometricInterpretation = "MONOCHROME2"
+                    head.save_as(copy.name)
+                    values = _by_itk(Path(copy.name))
+            else:
                 slope, intercept = _rescaling(frame)
-                values = values * np.float32(slope) + np.float32(intercept)
+                if stored.dtype.kind == "f":
+                    values = values * np.float32(slope) + np.float32(intercept)
+        if values is None:
+            raise ValueError
         return values.reshape(-1, *stored.shape[1:]).astype(stored.dtype, casting="same_kind", copy=False)
     except (RuntimeError, ValueError, TypeError, AttributeError) as fault:
         raise wrong_file("DICOM file", "one whose pixels cannot be read", frame.file.name) from fault
+
+
+def _by_itk(file: Path) -> NDArray[Any] | None:
+    """Return the rescaled pixels of a file, or None where SimpleITK does not read it."""
+    import SimpleITK as sitk
+
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
+    with suppress(RuntimeError):
+        values: NDArray[Any] = sitk.GetArrayFromImage(sitk.ReadImage(str(file)))
+        return values
+    return None

@@ -145,10 +145,11 @@ def open_vgi(path: Path) -> Stored:
     stored = Stored(tuple(reversed(size)), dtype, stream)
     unit = mm_per_unit(geometry.get("unit"))
     if unit is not None and "resolution" in geometry:
-        steps = (geometry["resolution"].split(), geometry.get("scale", "1 1 1").split())
-        stored.spacing_mm = unit * np.prod(np.array(steps, dtype=float), axis=0)
+        steps = (geometry["resolution"], geometry.get("scale", "1 1 1"))
+        numbers = [line.replace(",", ".").split() for line in steps]  # Windows may write decimal commas
+        stored.spacing_mm = unit * np.prod(np.array(numbers, dtype=float), axis=0)
     mirrored = part.get("mirror", "0")
-    if any(float(word) for word in mirrored.split()):
+    if any(float(word.replace(",", ".")) for word in mirrored.split()):
         stored.note(
             f"{path.name} is shown mirrored in VGStudio (mirror = {mirrored}); its voxels were read as they "
             "are stored. Use --mirror if the ear is a mirror image.",

@@ -350,10 +350,11 @@ def test_corners_keep_their_names_under_mirror(tmp_path):
         check_corners(open_scan(path, mirror=axis), mirrored=axis)
 
 
-def test_dicom_of_a_private_class_of_a_scanner(tmp_path):
+@pytest.mark.parametrize("packed", [False, True])
+def test_dicom_of_a_private_class_of_a_scanner(tmp_path, packed):
     import pydicom
 
-    folder = w.dicom(tmp_path / "d", picture("i2"))
+    folder = w.dicom(tmp_path / "d", picture("i2"), packed=packed)
     for file in folder.iterdir():
         head = pydicom.dcmread(file)
         head.SOPClassUID = head.file_meta.MediaStorageSOPClassUID = "1.2.826.0.1.3680043.2.1125.99"
@@ -362,13 +363,14 @@ def test_dicom_of_a_private_class_of_a_scanner(tmp_path):
     assert np.array_equal(open_scan(folder).read(), 2.0 * picture("i2") - 10.0)
 
 
+@pytest.mark.parametrize("packed", [False, True])
 @pytest.mark.parametrize(("kind", "line"), [("u1", ""), ("u2", ""), ("i2", ""), ("u2", "2\\-1000")])
-def test_white_is_zero_is_inverted_once_in_dicom(tmp_path, kind, line):
+def test_white_is_zero_is_inverted_once_in_dicom(tmp_path, kind, line, packed):
     """The library that reads the pixels exchanges bright and dark as well."""
     import pydicom
 
     array = picture(kind) + picture(kind).min()
-    folder = w.dicom(tmp_path / "dicom", array)
+    folder = w.dicom(tmp_path / "dicom", array, packed=packed)
     for file in folder.iterdir():
         stored = pydicom.dcmread(file)
         stored.PhotometricInterpretation = "MONOCHROME1"
@@ -388,7 +390,11 @@ def test_a_transformation_of_amira_is_not_applied_and_that_is_said(tmp_path):
         assert bool(read_as(open_scan(path))) == said
 
 
-def test_a_vgstudio_header_in_the_letters_of_windows(tmp_path):
+def test_a_vgstudio_header_in_the_letters_and_numbers_of_windows(tmp_path):
+    path = own.vgi(tmp_path / "um.vgi", picture(), unit="mm")
+    text = path.read_text(encoding="utf-8").replace("resolution = 0.02 0.025", "resolution = 0,02 0,025")
+    path.write_bytes(text.encode())
+    assert open_scan(path).spacing_mm == pytest.approx(SPACING)
     path = own.vgi(tmp_path / "um.vgi", picture(), unit="um")
     path.write_bytes(path.read_text(encoding="utf-8").replace("unit = um", "unit = µm").encode("latin-1"))
     assert open_scan(path).spacing_mm == pytest.approx(SPACING)
