@@ -141,7 +141,7 @@ SCENES: dict[str, Scene] = {
         Scan(voxel_um=32.0, round_field=True, padding=0.0, seed=10), codes=_mass("file_read")
     ),
     "dense_on_top": _ct(ear=Ear(density_gradient=0.1)),
-    "foreign_stapes": _ct(ear=Ear(stapes=Stapes(family="analytic")), without=("outside_published_sizes",)),
+    "foreign_stapes": _ct(ear=Ear(stapes=Stapes(family="analytic"))),
     "small_warped_right_ear": _ct(ear=Ear(stapes=Stapes(scale=0.85, warp=0.03, mirrored=True, seed=4))),
     "glued_bead": _ct(ear=Ear(loose_masses=((0.3, 1.2, 0.2, 5e-8),))),
     "true_labels": _ct(labels=True),
@@ -245,7 +245,7 @@ SCENES: dict[str, Scene] = {
 }
 
 USUAL = {
-    "ct2mass": {"bare_bone_assumed", "handedness_unconfirmed", "outside_published_sizes", "plate_axis_sign"},
+    "ct2mass": {"bare_bone_assumed", "handedness_unconfirmed", "plate_axis_sign"},
     "points2dof": set[str](),
     "dof2kd": set[str](),
 }

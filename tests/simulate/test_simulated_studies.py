@@ -35,7 +35,7 @@ def test_the_sample_study_is_written_as_it_stands(sample, name):
 def test_the_sample_study_adds_only_what_was_confirmed(sample):
     folder, _ = sample
     made, stands = (tomllib.loads((place / "study.toml").read_text()) for place in (folder, SAMPLE))
-    assert set(stands["study"].pop("confirmed")) == {"handedness_unconfirmed", "outside_published_sizes"}
+    assert set(stands["study"].pop("confirmed")) == {"handedness_unconfirmed"}
     assert made == stands
 
 
