@@ -72,7 +72,7 @@ def run(scene: Scene, folder: Path) -> Outcome:
         if scene.scan is not None:
             study = _scan_words(folder, truth)
             if scene.labels:
-                study += ["--labels", str(write_labels(folder / "labels.nrrd", truth.placed))]
+                study += ["--labels", str(write_labels(folder / f"labels{scene.labels}", truth.placed))]
             _command(
                 "ct2mass", [*study, *scene.ct2mass.split(), "--no-report", "--out", str(folder / "mass")]
             )

@@ -1,7 +1,8 @@
 """Scenes: what the ear, the scan, the shaker and the lasers are, and what the commands are asked for.
 
 A scene lists the warnings that must appear, and no others may. `bars.json` holds, for each, the standard
-deviations that version 0.2 stated: they may not grow by more than a quarter. Those of K and D of
+deviations that version 0.2 stated: they may not grow by more than a quarter; those of a format are those of
+the same voxels in any other. Those of K and D of
 `whole_right_ear`, where its search for the plane of the ligament did not end, are of version 0.3: the minimum
 is the same from five starts, and over eight measurements of that ear the errors are 0.3 to 0.8 of the stated
 standard deviations (root mean square; that of K22 is 5 to 15 %, by how well the height is determined).
@@ -41,8 +42,8 @@ class Scene:
         Whether K and D are asked for.
     motion_is_given : bool
         The fit starts from the rigid motion that simple least squares gives, not from points2dof.
-    labels : bool
-        Whether the true labels are given with the scan.
+    labels : str
+        Ending of a file of the true labels that is given with the scan, or empty.
     ct2mass, points2dof, dof2kd : str
         Further words of the command lines.
     codes : dict of str to tuple of str
@@ -60,7 +61,7 @@ class Scene:
     experiment: Experiment | None = None
     fits: bool = False
     motion_is_given: bool = False
-    labels: bool = False
+    labels: str = ""
     ct2mass: str = ""
     points2dof: str = ""
     dof2kd: str = ""
@@ -85,8 +86,9 @@ def _mass(*codes: str) -> dict[str, tuple[str, ...]]:
     return {"ct2mass": codes}
 
 
-def _format(name: str, without: tuple[str, ...] = ()) -> Scene:
-    return Scene(scan=Scan(voxel_um=(44.0, 40.0, 48.0), format=name, seed=7), without=without)
+def _format(name: str, codes: tuple[str, ...] = (), without: tuple[str, ...] = (), **more: str) -> Scene:
+    scan = Scan(voxel_um=(44.0, 40.0, 48.0), format=name, seed=7, **more)  # type: ignore[arg-type]
+    return Scene(scan=scan, codes=_mass(*codes), without=without)
 
 
 def _points(experiment: Experiment = _POINTS, warnings: tuple[str, ...] = (), **more: object) -> Scene:
@@ -142,17 +144,32 @@ SCENES: dict[str, Scene] = {
     ),
     "dense_on_top": _ct(ear=Ear(density_gradient=0.1)),
     "foreign_stapes": _ct(ear=Ear(stapes=Stapes(family="analytic"))),
-    "small_warped_right_ear": _ct(ear=Ear(stapes=Stapes(scale=0.85, warp=0.03, mirrored=True, seed=4))),
+    "small_warped_right_ear": _ct(
+        ear=Ear(stapes=Stapes(scale=0.85, warp=0.03, mirrored=True, seed=4)),
+        codes=_mass("outside_published_sizes"),
+    ),
     "glued_bead": _ct(ear=Ear(loose_masses=((0.3, 1.2, 0.2, 5e-8),))),
-    "true_labels": _ct(labels=True),
+    "true_labels": _ct(labels=".nrrd"),
+    "named_segments": _ct(Scan(voxel_um=40.0, seed=3), labels=".seg.nrrd"),
     "closed_mesh": _ct(
         Scan(voxel_um=32.0, format="ply", seed=3),
         codes=_mass("surface_taken_as_exact"),
         without=("bare_bone_assumed", "plate_axis_sign"),
     ),
-    # formats; all others: tests/scan_files
+    "mended_mesh": _ct(
+        Scan(voxel_um=32.0, format="stl", seed=3),
+        codes=_mass("surface_taken_as_exact", "file_read"),
+        without=("bare_bone_assumed", "plate_axis_sign"),
+    ),
+    # a scan of each family of formats; every kind of each: tests/scan_files
     "ome_tiff": _format("ome.tif"),
     "nrrd": _format("nrrd", without=_ORIENTED),
+    "metaimage": _format("mha", without=_ORIENTED),
+    "nifti_left_handed": _format("nii.gz", ("file_read",), _ORIENTED),
+    "dicom": _format("dicom", without=_ORIENTED),
+    "zarr": _format("zarr"),
+    "isq": _format("isq", dtype="int16"),
+    "vgstudio": _format("vgi"),
     "slices": _format("slices"),
     # measurements: noise, geometry, formats, faults
     "points_in_footplate_axes": _points(),
