@@ -90,7 +90,7 @@ CONDITIONS = {
     ),
     "32 or 64 steps": Condition(
         scan=lambda r: steps(-0.3, 1.5, steps=int(r.choice((32, 64))), noise=r.uniform(0.005, 0.02)),
-        codes=("grey_steps_coarse",),
+        codes=("file_read",),
     ),
     "fluid under the footplate": Condition(
         lambda r: {**window(r), "fluid_depth_mm": float(r.uniform(0.1, 0.4))},

@@ -35,7 +35,7 @@ def uncommon_lines(placed: Measurement) -> list[Notice]:
         f"of {len(placed.freq_hz)} frequencies, {listed} were measured, {common} of them on all bodies; "
         "lines are matched within 1e-6."
     )
-    return [Notice("frequencies_differ", text)]
+    return [Notice("lines_undetermined", text)]
 
 
 def check_determined(motion: RigidMotion) -> None:

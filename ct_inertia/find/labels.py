@@ -101,7 +101,7 @@ def _alone(drawn: Drawn, scan: Scan, notices: list[Notice]) -> Labelled:
         noise=0.0,
         separation=Separation("labels alone"),
         named=True,
-        notices=(*notices, Notice("labels_alone", text)),
+        notices=(*notices, Notice("file_read", text)),
     )
 
 

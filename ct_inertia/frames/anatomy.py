@@ -113,7 +113,7 @@ def orient_long_axis(hints: AnatomyHints, origin_mm: Array, x_axis: Array, y_axi
         step = "Correct the wrong one; a wrong --side or a mirrored scan (--mirror) can do this"
         expected = "of one mind about which end of the footplate is anterior"
         raise StapeskitError.of("the anatomical hints", expected, statements, next_step=step)
-    notices += [Notice("landmark_unused", str(fault)) for fault in unused]
+    notices += [Notice("file_read", str(fault)) for fault in unused]
     return Orientation(votes[0][0], ", ".join(name for _, name in votes), tuple(notices))
 
 
@@ -148,7 +148,7 @@ def _votes(
             continue
         if sense is None:
             text = f"Landmark {name} is not used: it needs --side left or --side right."
-            notices.append(Notice("landmark_unused", text))
+            notices.append(Notice("file_read", text))
             continue
         offset = float((point - origin_mm) @ (x_axis if name in ("anterior", "posterior") else z_axis))
         if abs(offset) < _LEAST_OFFSET_MM:

@@ -61,7 +61,7 @@ class BoneBorder:
                 f"by {100.0 * share:.2g} %. Look at the cut in the report; where the stapes ends elsewhere, "
                 "draw it (--labels)."
             )
-            notices.append(Notice("separation_weak", text))
+            notices.append(Notice("cut_through_bone", text))
         return notices
 
 

@@ -171,7 +171,7 @@ class Storing:
                 "contrast between air and bone, no smaller than the noise: levels are uncertain by a "
                 "fraction of one grey step (budget: levels). Export with 16 bits."
             )
-            notices.append(Notice("grey_steps_coarse", text))
+            notices.append(Notice("file_read", text))
         return notices
 
     def corrected(self, begin: Start) -> Start:

@@ -37,7 +37,7 @@ class VoxelScale:
             f"({self.source}) in volume, mass and mass matrix. Coordinates, frames and surfaces are in mm of "
             f"the scan as it is stored; --spacing {spacing} corrects those too."
         )
-        return Notice("voxel_scale_corrected", text)
+        return Notice("file_read", text)
 
 
 def voxel_scale(

@@ -278,7 +278,7 @@ def _notices(functions: Sequence[Dataset], left_out: str, stated: bool, file: st
             f"{file} holds spectra, no frequency responses: their phases are those of one motion only when "
             "every point was triggered by the excitation."
         )
-        notices.append(Notice("spectra_phase", text))
+        notices.append(Notice("file_read", text))
     if not stated and not all(_label(one, "ordinate") for one in functions):
         text = f"{file} names no unit of its values and has no dataset 164: they were taken as SI."
         notices.append(Notice("length_unit_assumed", text))

@@ -129,7 +129,7 @@ def test_labels_alone_are_known_to_a_part_of_a_voxel():
     found = measure(label_stapes(Scan.from_array(labels, scan.spacing_mm)))
     exact = true_moments(placed).volume_mm3
     assert abs(found.moments.volume_mm3 - exact) < 2.0 * found.moments.volume_sd_mm3
-    assert {notice.code for notice in found.notices} == {"labels_alone"}
+    assert {notice.code for notice in found.notices} == {"file_read"}
 
 
 def test_islands_are_left_out_or_refused_and_never_counted():

@@ -125,7 +125,7 @@ def test_labels_alone_are_the_solid_of_their_voxels(study: Study) -> None:
     assert result.moments.volume_mm3 == pytest.approx(voxels, rel=1e-9)
     assert abs(result.moments.volume_mm3 - 1e9 * truth.volume_m3) < 3.0 * result.moments.volume_sd_mm3
     codes = {notice.code for notice in result.notices}
-    assert {"labels_alone", "density_sd_not_given"} <= codes
+    assert {"file_read", "density_sd_not_given"} <= codes
     assert "touches_border" not in codes
     sd = np.sqrt(np.diag(result.footplate.covariance))
     step = displacement(result.footplate.scan_from_footplate, truth.scan_from_footplate)

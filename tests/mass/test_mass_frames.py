@@ -135,7 +135,7 @@ def test_superior_without_a_side_is_refused_alone_and_left_out_beside_anterior()
         AnatomyHints(None, points)
     frame = footplate_frame(surface_of(Stapes()), AnatomyHints(POSE.rotation[:, 0], points))
     (notice,) = frame.notices
-    assert notice.code == "landmark_unused"
+    assert notice.code == "file_read"
     assert "--side left" in notice.text
 
 

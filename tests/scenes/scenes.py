@@ -204,7 +204,7 @@ SCENES: dict[str, Scene] = {
     ),
     "universal_file": _points(
         Experiment(lines=60, in_footplate=True, format="uff", seed=12),
-        ("amplitude_assumed", "noise_estimated", "spectra_phase"),
+        ("amplitude_assumed", "noise_estimated", "file_read"),
     ),
     "matlab_file": _points(
         Experiment(lines=60, in_footplate=True, format="mat", seed=13),
