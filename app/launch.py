@@ -10,7 +10,7 @@ from pathlib import Path
 
 from stapeskit.faults import StapeskitError
 
-NEEDED = ("marimo", "ipyniivue", "altair", "tomlkit")
+NEEDED = ("marimo", "ipyniivue", "tomlkit")
 """Packages of the extra."""
 
 INSTALL = "pip install '.[app]', in the source folder of stapeskit"

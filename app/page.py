@@ -25,7 +25,7 @@ with app.setup:
     from app.session import Session
     from app.study_file import StudyFile
     from fitting.options import COMPARE, DAMPING, KDOptions
-    from pipeline.new_study import ASSUMED_DENSITY
+    from pipeline.new_study import ASSUMED_DENSITY, LAYOUT, SPACING
     from stapeskit.command import fault_sentence
     from stapeskit.faults import StapeskitError
     from stapeskit.report import page
@@ -99,8 +99,8 @@ def state():
 def choose(attempt, session, set_marks, set_mass, set_picture, set_results, set_study):
     def chosen(files):
         def action():
-            session.open(Path(files[0].path))
-            return f"{files[0].name} opened."
+            lacks = session.open(Path(files[0].path))
+            return f"{files[0].name} opened. {lacks}"
 
         if files:
             attempt(action, set_study, set_picture, set_mass, set_marks, set_results)
@@ -140,22 +140,36 @@ def study_controls(attempt, session):
             on_change=lambda names: put(table, key, list(names)),
         )  # fmt: skip
 
-    return put, text_field, ticks
+    return as_words, put, text_field, ticks
 
 
 @app.cell
-def scan_controls(browser, get_study, session, step_button, text_field):
+def scan_controls(as_words, attempt, browser, get_study, session, set_mass, set_picture, step_button):
     get_study()
     stated = session.study.get
+
+    def voxel_field(label, example, keys):
+        """Make a field of what the scan may not say of its voxels; the scan is opened with it at once."""
+        values = [as_words(stated("scan", key) or "") for key in keys]
+
+        def typed(words):
+            parts = words.rsplit(maxsplit=len(keys) - 1) if words.strip() else []
+            stated_now = dict.fromkeys(keys) | dict(zip(keys, parts, strict=False))
+            attempt(lambda: session.set_voxels(**stated_now), set_picture, set_mass)
+
+        return mo.ui.text(" ".join(values).strip(), label=label, placeholder=example, on_change=typed)
+
     name = mo.ui.text(session.study.path.stem if session.study.text else "", label="name")
     density = mo.ui.text(str(stated("scan", "density_kg_m3") or ASSUMED_DENSITY), label="density, kg/m³")
     side = mo.ui.dropdown(
         ["left", "right"], value=stated("study", "side") or stated("scan", "side"), label="side"
     )
-    spacing = text_field("scan", "spacing_mm", "voxel, mm", placeholder="from the scan")
+    voxels = [voxel_field("voxel, mm", "as the scan says", SPACING)]
+    if session.lacking == LAYOUT:
+        voxels.insert(0, voxel_field("voxels x, y, z, type", "512,512,600 uint16", LAYOUT))
     measure = step_button("Measure", "found", lambda: session.set_scan(name.value, density.value, side.value))
     hint = "Another body was found, or none? Mark a place in it, or a box around it, in step 3."
-    scan_step = listed(browser, beside(name, density), beside(side, spacing), measure, mo.md(hint))
+    scan_step = listed(browser, beside(name, density), beside(side, *voxels), measure, mo.md(hint))
     return (scan_step,)
 
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import trimesh
 from ipyniivue import Mesh, MultiplanarType, NiiVue, ShowRender, SliceType
 from ipyniivue.traits import ColorMap
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from app.grey import write_nifti
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 
+Corners = NDArray[np.floating[Any]]
 View = Literal["slices and 3D", "slices", "3D"]
 VIEWS: tuple[View, ...] = ("slices", "slices and 3D", "3D")
 """The first is how the page begins: 3D beside slices takes seconds a move without a graphics card."""
@@ -116,10 +117,9 @@ class Picture(NiiVue):  # type: ignore[misc]
             path = self._next("labels.nii")
             self.load_drawing(str(write_nifti(path, self._drawing.shown, self._drawing.affine)))
 
-    def show_surfaces(self, files: Mapping[str, Path]) -> None:
-        """Show the surfaces of stapes and plate, scan coordinates, mm."""
-        surfaces = [(trimesh.load(path, process=False), _COLOURS[name]) for name, path in files.items()]
-        self._show_group("bodies", surfaces)
+    def show_surfaces(self, surfaces: Mapping[str, Corners]) -> None:
+        """Show the surfaces of stapes and plate by name, corners (faces, 3, 3) in scan coordinates, mm."""
+        self._show_group("bodies", [(corners, _COLOURS[name]) for name, corners in surfaces.items()])
 
     def show_marks(self, places: Sequence[Sequence[float]]) -> None:
         """Show marks in scan coordinates, mm."""
@@ -133,15 +133,14 @@ class Picture(NiiVue):  # type: ignore[misc]
                 places.setdefault(_VERDICTS.get(verdict, _SUSPECT), []).append(place)
         self._show_group("points", [(balls(own), colour) for colour, own in places.items()])
 
-    def _show_group(self, group: str, surfaces: Sequence[tuple[Any, tuple[int, ...]]]) -> None:
+    def _show_group(self, group: str, surfaces: Sequence[tuple[Corners, tuple[int, ...]]]) -> None:
         """Show a group of surfaces beside the others.
 
         marimo closes the widgets that a cell made when that cell runs again: every group has its own cell.
         """
         meshes = []
-        for surface, colour in surfaces:
-            path = self._next("surface.stl")
-            trimesh.Trimesh(surface.vertices * RAS, surface.faces, process=False).export(path)
+        for corners, colour in surfaces:
+            path = write_stl(self._next("surface.stl"), corners * RAS)
             meshes.append(Mesh(path=path, rgba255=list(colour)))
         self._groups[group] = meshes
         self.meshes = [mesh for one in self._groups.values() for mesh in one]
@@ -180,9 +179,18 @@ class Picture(NiiVue):  # type: ignore[misc]
         return Path(self._files.name) / f"{self._number}_{name}"
 
 
-def balls(places: Sequence[Sequence[float]]) -> Any:
-    """Return one mesh of small balls at places (n, 3)."""
-    ball = trimesh.creation.icosphere(1, _BALL_MM)
-    return trimesh.util.concatenate(
-        [trimesh.Trimesh(ball.vertices + np.array(at), ball.faces, process=False) for at in places]
-    )
+def balls(places: Sequence[Sequence[float]]) -> Corners:
+    """Return the corners (8 n, 3, 3) of a small octahedron at each of n places."""
+    signs = np.array(list(product((-1.0, 1.0), repeat=3)))
+    one = _BALL_MM * signs[:, :, None] * np.eye(3)
+    one[signs.prod(axis=1) < 0.0] = one[signs.prod(axis=1) < 0.0, ::-1]  # counter-clockwise from outside
+    return np.asarray(np.array(places)[:, None, None] + one).reshape(-1, 3, 3)
+
+
+def write_stl(path: Path, corners: Corners) -> Path:
+    """Write triangles (n, 3, 3) as binary STL, which NiiVue reads, and return the path."""
+    fields = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
+    rows = np.zeros(len(corners), dtype=fields)
+    rows["corners"] = corners
+    path.write_bytes(bytes(80) + np.uint32(len(rows)).tobytes() + rows.tobytes())
+    return path

@@ -10,14 +10,14 @@ import numpy as np
 
 from app.drawing import Change, Drawing
 from app.marks import Marks
-from app.steps import Job, mass_folder
+from app.steps import LABELS, Job, mass_folder, read_shown
 from app.study_file import OwnFile, StudyFile
 from ct_inertia.scan.scan import Scan
-from pipeline.new_study import ASSUMED_DENSITY, look
+from pipeline.new_study import ASSUMED_DENSITY, lacking, look
+from stapeskit.arrays import Array
 from stapeskit.documents import read_json
 from stapeskit.faults import StapeskitError
 
-LABELS = "labels.seg.nrrd"
 MEASUREMENTS = (".csv", ".txt", ".uff", ".unv", ".mat", ".h5", ".hdf5", ".svd")
 _DAMAGED = ("the mass of an earlier step", "Remove its folder, and measure again")
 
@@ -33,6 +33,8 @@ class Session:
         An empty one until a scan or a study is chosen.
     scan : Scan or None
         Opened, for the picture.
+    lacking : tuple of str
+        Keys of [scan] without which the scan cannot be opened: no file says them.
     drawing : Drawing or None
         Labels, once the stapes was found.
     marks : Marks
@@ -43,27 +45,48 @@ class Session:
     """
 
     def __init__(self, study: StudyFile) -> None:
-        from ct_inertia.scan.open_scan import open_scan
-
         self.study, self.marks = study, Marks(study)
         self.scan: Scan | None = None
+        self.lacking: tuple[str, ...] = ()
         self.drawing: Drawing | None = None
         self.job: Job | None = None
         self.mass: dict[str, dict[str, Any]] = {}
         self._hand: OwnFile | None = None  # the labels that were drawn
-        if "scan" in study.tables:
-            of = study.mass_options(hand_work=False)
-            if of.file is not None and not of.is_mesh:
-                self.scan = open_scan(of.file, of.spacing_mm, of.mirror, of.nan_as_air, of.raw)
-            self.take_results()
 
-    def open(self, path: Path) -> None:
+    def open(self, path: Path) -> str:
         """Begin a study of a scan, with the files beside it that belong to it, or go on with a study (.toml).
 
-        The study that was open stays where something is wrong. A new one is written with the first change.
+        Returns what the scan lacks before it can be opened, empty where nothing. The study that was open
+        stays where something is wrong. A new one is written with the first change.
         """
         self._check_idle()
-        self.__dict__ = Session(StudyFile.read(path) if path.suffix == ".toml" else _begun(path)).__dict__
+        opened = Session(StudyFile.read(path) if path.suffix == ".toml" else _begun(path))
+        lacks = opened.open_scan()
+        opened.take_results()
+        self.__dict__ = opened.__dict__
+        return lacks
+
+    def open_scan(self) -> str:
+        """Open the scan as the study says; return what it still lacks, empty where nothing."""
+        from ct_inertia.scan.open_scan import open_scan
+
+        self.scan, self.drawing, self.mass, lacks = None, None, {}, ""
+        if "scan" in self.study.tables:
+            of = self.study.mass_options(hand_work=False)
+            self.lacking, lacks = lacking(of)
+            if of.file is not None and not of.is_mesh and not lacks:
+                with of.as_keys():
+                    self.scan = open_scan(of.file, of.spacing_mm, of.mirror, of.nan_as_air, of.raw)
+        return lacks
+
+    def set_voxels(self, **words: str | None) -> str:
+        """Write spacing or layout of the voxels into the study; return what the scan still lacks."""
+        self._check_idle()
+        if self.study.path.exists():
+            self.study.put("scan", **words)
+        else:  # it is saved with the first step: until then its name can change
+            self.study.text = self.study.checked("scan", **words)
+        return self.open_scan()
 
     def _check_idle(self) -> None:
         if self.job is not None and self.job.running:
@@ -125,18 +148,20 @@ class Session:
             self._read_labels()
 
     def _read_labels(self) -> None:
-        from ct_inertia.scan.open_scan import open_labels
-
-        read, grid = open_labels(self.study.found / LABELS)
-        found, place = read.astype(np.uint8), np.asarray(grid.scan_from_index)
+        shown = read_shown(self.study.found)
+        if "labels" not in shown:
+            return
+        found, place = shown["labels"], shown["scan_from_index"]
         if self.drawing is not None and np.array_equal(self.drawing.found, found):
             return
         labels, self._hand = found.copy(), None
         path = self.study.file("scan", "labels")
         if self.study.labels_are_ours and path is not None and path.exists():
+            from ct_inertia.scan.open_scan import open_labels
+
             hand = OwnFile(path)
-            drawn, drawn_grid = open_labels(path)
-            if drawn.shape == found.shape and np.allclose(drawn_grid.scan_from_index, place, atol=1e-6):
+            drawn, grid = open_labels(path)
+            if drawn.shape == found.shape and np.allclose(grid.scan_from_index, place, atol=1e-6):
                 labels, self._hand = drawn.astype(np.uint8), hand
         self.drawing = Drawing(labels, place, found)
 
@@ -168,11 +193,11 @@ class Session:
         elif self.study.labels_are_ours:
             self.study.put_labels(None)
 
-    def surfaces(self) -> dict[str, Path]:
-        """Return the surfaces of the study's current mass, by name."""
-        folder = mass_folder(self.study)
-        files = {} if folder is None else {name: folder / f"{name}.ply" for name in ("stapes", "plate")}
-        return {name: path for name, path in files.items() if path.is_file()}
+    def surfaces(self) -> dict[str, Array]:
+        """Return the surfaces of the study's current mass by name, corners (faces, 3, 3), scan mm."""
+        shown = read_shown(mass_folder(self.study))
+        return {name: shown[f"{name}_vertices"][shown[f"{name}_faces"]]
+                for name in ("stapes", "plate") if f"{name}_faces" in shown}  # fmt: skip
 
     def content(self, name: str) -> dict[str, Any]:
         """Return what a step left for the page, ``points`` or ``fit``; empty without it."""

@@ -15,6 +15,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -23,10 +24,12 @@ from stapeskit.command import fault_sentence, run
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
+    from ct_inertia.results import MassResult
     from fitting.result import KDFit
     from kinematics.results import MotionResult
+
+LABELS = "labels.seg.nrrd"
+SHOWN = "shown.npz"
 
 
 def _say(**words: Any) -> None:
@@ -59,9 +62,42 @@ def cut(study: StudyFile) -> None:
 def _mass(study: StudyFile, folder: Path, *, hand_work: bool) -> None:
     from ct_inertia.ct2mass import measure_mass
 
-    result = measure_mass(study.mass_options(hand_work=hand_work), _tell)
+    options = study.mass_options(hand_work=hand_work)
+    with options.as_keys():
+        result = measure_mass(options, _tell)
     result.write(folder, report=False)
+    _keep_shown(result, folder)
     _warn(result.notices)
+
+
+def _keep_shown(result: MassResult, folder: Path) -> None:
+    """Leave what the page shows as plain arrays: it then loads no library that reads images or meshes."""
+    from ct_inertia.scan.open_scan import open_labels
+
+    shown: dict[str, Any] = {}
+    for name, surface in (("stapes", result.stapes), ("plate", result.plate)):
+        if surface is not None:
+            shown |= {f"{name}_vertices": surface.vertices_mm, f"{name}_faces": surface.faces}
+    if (folder / LABELS).is_file():
+        labels, grid = open_labels(folder / LABELS)
+        shown |= {"labels": labels.astype(np.uint8), "scan_from_index": grid.scan_from_index}
+
+    def write(path: Path) -> None:
+        with path.open("wb") as stream:
+            np.savez_compressed(stream, **shown)
+
+    OwnFile(folder / SHOWN).write(write)
+
+
+def read_shown(folder: Path | None) -> dict[str, Any]:
+    """Return labels, their ``scan_from_index``, vertices and faces of a mass; empty where there are none."""
+    if folder is None:
+        return {}
+    try:
+        with np.load(folder / SHOWN) as shown:
+            return dict(shown)
+    except (OSError, ValueError, BadZipFile):
+        return {}
 
 
 def points(study: StudyFile) -> None:
@@ -73,7 +109,8 @@ def points(study: StudyFile) -> None:
     folder = mass_folder(study)
     mass = None if folder is None else read_mass_json(folder / "mass.json")
     options = MotionOptions.from_study(study.tables.get("ldv", {}), study.path.name, study.path.parent)
-    result = measure_motion(options, mass, _tell)
+    with options.as_keys():
+        result = measure_motion(options, mass, _tell)
     _warn(result.notices)
     _keep(study, "points", points_content(result))
 
@@ -112,28 +149,23 @@ def fit(study: StudyFile) -> None:
     fitted = run_study(study.path, study.out, progress=_tell, tell=_warn).fit
     shown = str(verdict_block(fitted) + page.beside(*matrices(fitted)))
     codes = [reason.code for reason in fitted.verdict.reasons]
-    curves = response_table(fitted).to_dict("list")
-    _keep(study, "fit", {"reasons": codes, "html": shown, "responses": curves})
+    _keep(study, "fit", {"reasons": codes, "html": shown, "responses": response_rows(fitted)})
 
 
-def response_table(result: KDFit) -> DataFrame:
-    """Return measured and fitted responses, one value a row, for curves."""
-    import pandas as pd
-
+def response_rows(result: KDFit) -> list[dict[str, Any]]:
+    """Return measured and fitted responses for curves, a row a value."""
     from fitting.report.figures import responses
     from stapeskit.report.figures import dof_unit
 
-    shown, parts = responses(result), []
+    shown, rows = responses(result), []
     for place, name in enumerate(result.dof):
         scale, symbol = dof_unit(name)
         for kind, values in (("measured", shown.measured), ("fitted", shown.simulated)):
-            columns = {
-                "frequency, Hz": shown.freq_hz,
-                "amplitude": scale * np.abs(values[:, place]),
-                "phase": np.angle(values[:, place], deg=True),
-            }
-            parts.append(pd.DataFrame(columns).assign(motion=f"{name}, {symbol}", kind=kind))
-    return pd.concat(parts)
+            amplitude, phase = scale * np.abs(values[:, place]), np.angle(values[:, place], deg=True)
+            for at in zip(shown.freq_hz.tolist(), amplitude.tolist(), phase.tolist(), strict=True):
+                named = dict(zip(("frequency, Hz", "amplitude", "phase"), at, strict=True))
+                rows.append({"motion": f"{name}, {symbol}", "kind": kind, **named})
+    return rows
 
 
 def mass_folder(study: StudyFile) -> Path | None:

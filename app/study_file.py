@@ -142,13 +142,18 @@ class StudyFile(OwnFile):
             document.pop(table)
         return tomlkit.dumps(document)
 
-    def put(self, table: str, **values: Any) -> None:
-        """Set keys of a table and save, if they are what they must be."""
+    def checked(self, table: str, **values: Any) -> str:
+        """Return the text with other values of a table, which must be what they must be, as `changed`."""
         text = self.changed(table, **values)
         tables = StudyFile(self.path, text).tables
         if not {"file", "labels"} & tables.get("scan", {}).keys():
             raise StapeskitError("Choose a scan, or open a study, first.")
         TABLES[table].from_study(tables.get(table, {}), self.path.name, self.path.parent)
+        return text
+
+    def put(self, table: str, **values: Any) -> None:
+        """Set keys of a table and save, if they are what they must be."""
+        text = self.checked(table, **values)
         if text != self.text or not self.path.exists():
             self.write(text)
             self.text = text

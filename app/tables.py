@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +12,12 @@ from stapeskit.spatial import DOF_NAMES
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
-    import altair
     from markupsafe import Markup
 
 _CUTS = {"found": "as found", "cut": "corrected"}
 _SHOWN = {0: "mass", 3: "M(alpha)", 4: "M(beta)", 5: "M(gamma)"}
 """Places on the diagonal of the mass matrix."""
+_SCHEMA = "https://vega.github.io/schema/vega-lite/v6.json"  # a name; nothing is asked for there
 
 
 def mass_table(masses: Mapping[str, Mapping[str, Any]]) -> Markup:
@@ -62,24 +63,37 @@ def notice_list(notices: Mapping[str, str]) -> Markup | str:
     return page.folded(f"{len(notices)} {plural}", page.notices(Notice(*pair) for pair in notices.items()))
 
 
-def curves(responses: Mapping[str, Sequence[Any]]) -> list[altair.VConcatChart]:
-    """Return a chart a motion: amplitude above phase, measured (dots) and fitted (lines), to be zoomed."""
-    import altair as alt
-    import pandas as pd
+class Curves:
+    """A chart of one motion: amplitude above phase, measured (dots) and fitted (lines), to be zoomed."""
 
-    table = pd.DataFrame(responses)
-    x = alt.X("frequency, Hz", scale=alt.Scale(type="log", nice=False))
-    columns = ["kind", "frequency, Hz", "amplitude", "phase"]
+    def __init__(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        title = rows[0]["motion"]
+        panels = [
+            _panel("amplitude", title, {"type": "log"}),
+            _panel("phase", "phase, °", {"domain": [-180, 180]}),
+        ]
+        self.specification = {"$schema": _SCHEMA, "data": {"values": list(rows)}, "vconcat": panels}
 
-    def drawn(motion: str, what: str, title: str, scale: alt.Scale) -> Any:
-        base = alt.Chart(table[table["motion"] == motion]).encode(x, alt.Y(what, scale=scale, title=title))
-        dots = base.transform_filter("datum.kind == 'measured'").mark_circle(size=12, color="#555555")
-        line = base.transform_filter("datum.kind == 'fitted'").mark_line(color="#d55e00")
-        both = alt.layer(dots.encode(tooltip=columns), line.encode(tooltip=columns))
-        return both.properties(width=220, height=140).interactive(name=f"{motion[0]}_{what}")
+    def _mime_(self) -> tuple[str, str]:
+        return "application/vnd.vegalite.v6+json", json.dumps(self.specification)
 
-    return [
-        drawn(motion, "amplitude", motion, alt.Scale(type="log"))
-        & drawn(motion, "phase", "phase, °", alt.Scale(domain=[-180, 180]))
-        for motion in dict.fromkeys(table["motion"])
-    ]
+
+def _panel(what: str, title: str, scale: Mapping[str, Any]) -> dict[str, Any]:
+    """Return one panel of a chart."""
+    x = {"field": "frequency, Hz", "type": "quantitative", "scale": {"type": "log", "nice": False}}
+    y = {"field": what, "type": "quantitative", "scale": scale, "title": title}
+    marks = {"measured": {"type": "circle", "size": 12, "color": "#555555"},
+             "fitted": {"type": "line", "color": "#d55e00"}}  # fmt: skip
+    layers: list[dict[str, Any]] = [
+        {"transform": [{"filter": f"datum.kind == '{kind}'"}], "encoding": {"x": x, "y": y},
+         "mark": {**mark, "tooltip": {"content": "data"}}}
+        for kind, mark in marks.items()
+    ]  # fmt: skip
+    layers[0]["params"] = [{"name": what, "select": "interval", "bind": "scales"}]
+    return {"width": 220, "height": 140, "layer": layers}
+
+
+def curves(rows: Sequence[Mapping[str, Any]]) -> list[Curves]:
+    """Return a chart a motion."""
+    motions = dict.fromkeys(row["motion"] for row in rows)
+    return [Curves([row for row in rows if row["motion"] == motion]) for motion in motions]

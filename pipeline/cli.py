@@ -50,7 +50,11 @@ def work(words: list[str]) -> Outcome | None:
         raise StapeskitError.of("this folder", "one with a study.toml", "none", "", step)
     if chosen.check:
         return _check(paths, chosen)
-    return _one(paths[0], chosen) if len(paths) == 1 else _several(paths, chosen, cohort)
+    try:
+        return _one(paths[0], chosen) if len(paths) == 1 else _several(paths, chosen, cohort)
+    except KeyboardInterrupt:
+        kept = "what finished stages have written stays, and the same command goes on from there"
+        raise KeyboardInterrupt(kept) from None
 
 
 def _check(paths: Sequence[Path], chosen: RunOptions) -> Outcome:

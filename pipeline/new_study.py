@@ -7,11 +7,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stapeskit.faults import StapeskitError
 from stapeskit.options import toml
 from stapeskit.outputs import MANIFEST, Outputs, written_in
+
+if TYPE_CHECKING:
+    from ct_inertia.options import MassOptions
 
 STUDY = "study.toml"
 SAMPLE = "stapeskit sample"  # writes inputs, not results
@@ -20,13 +23,16 @@ _TEXTS = (".csv", ".txt", ".asc", ".tsv")
 _LOOKED_AT = 1 << 16  # bytes of a text: headers of exports end before
 _VALUE = re.compile(r"(?<![\w.])[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?(?![\w])")
 Ask = Callable[[str], str]
-QUESTIONS = {
-    "spacing_mm": "Size of a voxel in mm, H or DX,DY,DZ, which no file says (empty: filled in later): ",
-    "density_kg_m3": f"Density of the bone, kg/m3, as VALUE+-SD (empty: {ASSUMED_DENSITY} is assumed): ",
-    "side": "Left or right ear (empty: not known): ",
-    "anterior": "Direction towards anterior in scan axes, x,y,z (empty: not known): ",
+LAYOUT, SPACING = ("shape", "dtype"), ("spacing_mm",)
+QUESTIONS: dict[tuple[str, ...], str] = {
+    LAYOUT: "Voxels along x, y, z and their type, which no file says, as NX,NY,NZ uint16 "
+    "(empty: filled in later): ",
+    SPACING: "Size of a voxel in mm, H or DX,DY,DZ, which no file says (empty: filled in later): ",
+    ("density_kg_m3",): f"Density of the bone, kg/m3, as VALUE+-SD (empty: {ASSUMED_DENSITY} is assumed): ",
+    ("side",): "Left or right ear (empty: not known): ",
+    ("anterior",): "Direction towards anterior in scan axes, x,y,z (empty: not known): ",
 }
-"""What no file says, by key of a study; the options of ct2mass check the answers."""
+"""What no file says, by keys of [scan], a word each; the options of ct2mass check the answers."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +80,8 @@ def look(folder: Path) -> Found:
             found.scans.append(path)
         elif path.is_file() and _holds_values(path) and _is(partial(measurement_format, path)):
             found.measurements.append(path)
+    headers = {path.stem for path in found.scans if not _is_raw(path)}
+    found.scans[:] = [path for path in found.scans if path.stem not in headers or not _is_raw(path)]
     return found
 
 
@@ -157,26 +165,52 @@ def _one(what: str, files: list[Path], folder: Path, ask: Ask | None) -> Path:
 
 def _answers(ask: Ask, scan: Path) -> dict[str, Any]:
     """Return what is answered to the questions, as options read it; a wrong answer is asked again."""
-    from ct_inertia.ct2mass import check_inputs
     from ct_inertia.options import MassOptions
 
+    options = MassOptions.of(scan=scan)
     answers: dict[str, Any] = {}
-    for name, asked in QUESTIONS.items():
-        if name == "spacing_mm":
-            try:
-                check_inputs(MassOptions.of(scan=scan))
-                continue
-            except StapeskitError as error:
-                if all(fault.thing != "the voxel spacing" for fault in error.faults):
-                    continue
+    for keys, asked in QUESTIONS.items():
+        if keys in (LAYOUT, SPACING) and lacking(options)[0] != keys:
+            continue
         question = asked
         while answer := ask(question).strip():
+            words = dict(zip(keys, answer.rsplit(maxsplit=len(keys) - 1), strict=False))
             try:
-                answers[name] = getattr(MassOptions.of(scan=scan, **{name: answer}), name)
+                options = MassOptions.of(scan=scan, **answers, **words)
+                answers |= {key: getattr(options, key) for key in keys}
                 break
             except StapeskitError as error:
                 question = f"{error} {asked}"
     return answers
+
+
+def lacking(scan: MassOptions) -> tuple[tuple[str, ...], str]:
+    """Return the keys of [scan] without which a scan cannot be opened, and the sentence that says so.
+
+    `LAYOUT` for raw voxels, `SPACING` where no file says it; empty where the scan can be opened, or where
+    something else is wrong.
+    """
+    from ct_inertia.ct2mass import check_inputs
+
+    try:
+        with scan.as_keys():
+            check_inputs(scan)
+    except StapeskitError as error:
+        if scan.file is not None and scan.raw is None and _is_raw(scan.file):
+            return LAYOUT, str(error)
+        if any(fault.thing == "the voxel spacing" for fault in error.faults):
+            return SPACING, str(error)
+    return (), ""
+
+
+def _is_raw(path: Path) -> bool:
+    """Return whether a file holds voxels without a header."""
+    from ct_inertia.scan.formats import RAW, format_of
+
+    try:
+        return path.is_file() and format_of(path) is RAW
+    except StapeskitError:
+        return False
 
 
 def needs(study: Path) -> str:
@@ -213,10 +247,12 @@ def study_text(
                      "plate_fiducials": "plate fiducials in the scan"}  # fmt: skip
     places = {"points": "positions of the points", "fiducials": "ties vibrometer and plate"}
     bone = "bone" if "density_kg_m3" in answers else "ASSUMED while this line is a comment: state your own"
+    layout = {"shape": ([512, 512, 600], "voxels along x, y, z"), "dtype": ("uint16", "type of a voxel")}
     tables = {
         "study": [line("name", name, "in reports"), line("notes", "", "incus, cochlea, storage ...")],
         "scan": [
             line("file", scan.name, "volume, folder of slices, or mesh"),
+            *(asked(key, *words) for key, words in layout.items() if _is_raw(scan)),
             asked("spacing_mm", 0.02, "voxel size, where the scan does not carry it"),
             asked("density_kg_m3", ASSUMED_DENSITY, bone),
             asked("side", "left", "names z superior or inferior"),

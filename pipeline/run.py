@@ -206,7 +206,8 @@ def run_study(
         measured = read_mass_json(mass_file)
         reused.append("scan")
     else:
-        mass = measure_mass(study.scan, progress)
+        with study.scan.as_keys():
+            mass = measure_mass(study.scan, progress)
         with outputs["scan"].staged() as stage:
             mass.write_into(stage, report=False)
             for path in stage.iterdir():  # of ct2mass: surfaces and voxels that few have a use for here
@@ -215,7 +216,8 @@ def run_study(
         measured = read_mass_json(mass_file)
     tell(measured.notices)
 
-    moved = measure_motion(study.ldv, measured, progress)
+    with study.ldv.as_keys():
+        moved = measure_motion(study.ldv, measured, progress)
     tell(moved.notices)
     with outputs["motion"].staged() as stage:
         moved.write_into(stage, report=False)
@@ -224,7 +226,8 @@ def run_study(
     source = mass_source(measured, study.fit)
     inputs = {"motion": out / "dof.h5", "mass": mass_file, "study": study.path}
     provenance = record(inputs, study.fit.given())
-    fit = fit_of(moved.motion, source, study.fit, provenance, "dof.h5", confirmed=study.about.confirmed)
+    with study.fit.as_keys():
+        fit = fit_of(moved.motion, source, study.fit, provenance, "dof.h5", confirmed=study.about.confirmed)
     tell(fit.notices)
     with outputs["fit"].staged() as stage:
         fit.write_into(stage, report=False)
@@ -251,9 +254,9 @@ def check_study(study: Study, outputs: Iterable[Outputs] = ()) -> None:
     for each in outputs:
         with collect_faults(faults):
             each.check()
-    with collect_faults(faults):
+    with collect_faults(faults), study.scan.as_keys():
         check_scan(study.scan)
-    with collect_faults(faults):
+    with collect_faults(faults), study.ldv.as_keys():
         check_measurement(study.ldv)
     raise_all(faults)
 

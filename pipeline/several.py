@@ -8,7 +8,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,39 +54,62 @@ Runner = Callable[[Mapping[str, Path], Path, bool, Callable[[str, End], None]], 
 
 
 def run_here(jobs: int) -> Runner:
-    """Return the runner that uses processes of this machine, ``jobs`` at a time."""
+    """Return the runner that uses processes of this machine, ``jobs`` at a time.
+
+    Where it is interrupted, studies at work are ended and those that wait are not begun.
+    """
 
     def run(studies: Mapping[str, Path], out: Path, force: bool, ended: Callable[[str, End], None]) -> None:
+        at_work = set[subprocess.Popen[bytes]]()
         with ThreadPoolExecutor(jobs) as pool:
-            futures = {name: pool.submit(run_one, path, out / name, force) for name, path in studies.items()}
-            for name, future in futures.items():
-                ended(name, future.result())
+            orders = ((pool.submit(run_one, path, out / name, force, at_work), name)
+                      for name, path in studies.items())  # fmt: skip
+            names = dict(orders)
+            try:
+                for future in as_completed(names):
+                    ended(names[future], future.result())
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                for process in set(at_work):
+                    process.terminate()
+                raise
 
     return run
 
 
-def run_one(study: Path, out: Path, force: bool = False) -> End:
-    """Run one study in a process of its own: a crash, or memory that runs out, costs this ear alone."""
+def run_one(
+    study: Path, out: Path, force: bool = False, at_work: set[subprocess.Popen[bytes]] | None = None
+) -> End:
+    """Run one study in a process of its own: a crash, or memory that runs out, costs this ear alone.
+
+    Parameters
+    ----------
+    at_work : set of Popen, optional
+        Holds the process while it runs.
+    """
     words = [sys.executable, "-P", "-m", "pipeline.cli", str(study), "--out", str(out), "--quiet"]
     environment = dict(os.environ)
     root = str(Path(__file__).resolve().parents[1])
     environment["PYTHONPATH"] = os.pathsep.join([root, *filter(None, [environment.get("PYTHONPATH")])])
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         environment.setdefault(name, "1")
-    with tempfile.TemporaryFile("w+") as errors:
-        done = subprocess.run(
+    known = set() if at_work is None else at_work
+    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
+        process = subprocess.Popen(
             [*words, *(["--force"] if force else [])],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=errors,
             env=environment,
-            check=False,
         )
+        known.add(process)
+        code = process.wait()
+        known.discard(process)
         errors.seek(0)
         text = errors.read()
-    if done.returncode >= 0:
-        return End(done.returncode, text.strip() if done.returncode else "")
-    killed = f"its process was ended by signal {-done.returncode}, most often because memory ran out"
+    if code >= 0:
+        return End(code, text.strip() if code else "")
+    killed = f"its process was ended by signal {-code}, most often because memory ran out"
     return End(2, f"{killed}. Run fewer studies at a time with --jobs, and run it again.")
 
 

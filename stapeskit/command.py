@@ -80,9 +80,9 @@ def run(prog: str, work: Callable[[list[str]], Outcome | None]) -> NoReturn:
         sys.stdout.flush()
     except BrokenPipeError:  # the reader of the output has left, as in "| head"
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interruption:
         code = 130
-        sys.stderr.write(f"{prog}: interrupted; no output was changed.\n")
+        sys.stderr.write(f"{prog}: interrupted; {str(interruption) or 'no output was changed'}.\n")
     except Exception as error:
         sentence = fault_sentence(error)
         code = 1 if sentence is None else 2

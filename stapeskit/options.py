@@ -16,7 +16,8 @@ import difflib
 import inspect
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
@@ -34,7 +35,7 @@ from typing import (
 )
 
 from stapeskit.documents import read_toml as read_toml
-from stapeskit.faults import Fault, raise_all
+from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.option_types import Kind, WithSd, number, one_of
 
 _UNIT = re.compile(r"_(mm|um|hz|kg_m3|percent|deg|us|db)$")
@@ -181,24 +182,30 @@ class Options:
         raise_all(faults)
         made = cls(**found)
         broken = [rule.fault for rule in cls.rules if rule.breaks(made)]
-        raise_all(
-            cls._as_called(fault if isinstance(fault, Fault) else fault(made), called, where)
-            for fault in broken
-        )
+        faults = [fault if isinstance(fault, Fault) else fault(made) for fault in broken]
+        raise_all(cls._as_called(fault, called, where) if where else fault for fault in faults)
         return made
 
     @classmethod
-    def _as_called(cls, fault: Fault, called: Mapping[str, str], where: str) -> Fault:
-        """Return a fault of a rule, which names flags, with the names that the reader of a file knows."""
-        if not where:
-            return fault
+    def _as_called(cls, fault: Fault, called: Mapping[str, str], where: str = "") -> Fault:
+        """Return a fault that names flags with the names that the reader of a file knows."""
         names = {entry.flag: called[entry.key] for entry in cls.entries()}
         texts = {
             part: re.sub(r"--[a-z-]+", lambda flag: names.get(flag[0], flag[0]), getattr(fault, part))
             for part in ("thing", "expected", "next_step")
         }
         thing = names.get(texts["thing"], texts["thing"])
-        return replace(fault, **(texts | {"thing": thing}), where=str(fault.where) or where)
+        return replace(fault, **(texts | {"thing": thing}), where=fault.where if str(fault.where) else where)
+
+    @classmethod
+    @contextmanager
+    def as_keys(cls) -> Iterator[None]:
+        """Let faults that are raised inside the block name keys of a study in place of flags."""
+        try:
+            yield
+        except StapeskitError as error:
+            keys = {key: f"{cls.table}.{key}" for key in cls.key_names()}
+            raise StapeskitError(*(cls._as_called(fault, keys) for fault in error.faults)) from error
 
     def given(self) -> dict[str, Any]:
         """Return what differs from its default, by key, as JSON has it: for the provenance of a result."""

@@ -58,6 +58,8 @@ class Outputs:
         there = next(parent for parent in (self.folder, *self.folder.parents) if os.path.lexists(parent))
         if not there.is_dir():
             raise StapeskitError.of("the output folder", "a folder", f"the file {there}", "", step)
+        if not os.access(there, os.W_OK | os.X_OK):
+            raise StapeskitError.of("the output folder", "one that you may write to", there, "", step)
         faults, foreign = [], []
         known = self._manifest().get(self.command, {})
         for name in dict.fromkeys((*self.names, *names)):

@@ -52,7 +52,6 @@ def answer(address: str) -> tuple[int, str]:
 def test_a_page_without_the_token_reaches_neither_page_nor_kernel_and_ctrl_c_ends_it(tmp_path):
     pytest.importorskip("marimo")
     pytest.importorskip("ipyniivue")
-    pytest.importorskip("altair")
     client = pytest.importorskip("websockets.asyncio.client")
     from websockets.exceptions import InvalidStatus
 

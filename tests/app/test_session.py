@@ -10,7 +10,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import trimesh
+import SimpleITK as sitk
+import tifffile
 from scipy.spatial import cKDTree
 
 from app import tables
@@ -20,6 +21,7 @@ from app.steps import STEPS, Job
 from app.study_file import StudyFile
 from ct_inertia.ct2mass import measure_mass
 from ct_inertia.scan.open_scan import open_labels
+from pipeline.new_study import LAYOUT, SPACING
 from pipeline.run import scan2kd
 from simulate import Ear, Experiment, Scan, simulate_study
 from stapeskit.faults import StapeskitError
@@ -205,8 +207,8 @@ def test_points_lie_in_the_scan_where_they_were_measured(session):
     run(session, "points")
     places = session.content("points")["points"]
     stapes = np.array([place for body, _, place in places if body == "stapes"])
-    surface = trimesh.load(session.surfaces()["stapes"], process=False)
-    assert np.max(cKDTree(surface.vertices).query(stapes)[0]) < 0.1
+    corners = session.surfaces()["stapes"].reshape(-1, 3)
+    assert np.max(cKDTree(corners).query(stapes)[0]) < 0.1
 
 
 def test_a_seed_and_a_box_are_marks_and_what_is_not_there_yet_is_said(measured, tmp_path):
@@ -250,6 +252,47 @@ def test_a_scan_that_cannot_be_read_leaves_the_study_that_was_open(session, tmp_
     with pytest.raises(StapeskitError):
         session.open(bad)
     assert (session.study, session.drawing, session.marks) == before
+
+
+def test_a_scan_that_does_not_say_its_spacing_is_asked_for_it(measured, tmp_path):
+    """A TIFF without a resolution, and raw voxels: the sentence, the keys to fill in, then the picture."""
+    voxels = sitk.GetArrayFromImage(sitk.ReadImage(measured[0] / "scan.nrrd"))
+    tifffile.imwrite(tmp_path / "plain.tif", voxels, photometric="minisblack")
+    voxels.tofile(tmp_path / "plain.raw")
+    session = Session(StudyFile(tmp_path / ".none.toml"))
+    lacks = session.open(tmp_path / "plain.tif")
+    assert "the voxel spacing must be" in lacks
+    assert "scan.spacing_mm" in lacks
+    assert (session.scan, session.lacking) == (None, SPACING)
+    with pytest.raises(StapeskitError):
+        session.set_voxels(spacing_mm="twenty")
+    assert session.set_voxels(spacing_mm="0.052") == ""
+    assert session.scan.spacing_mm == pytest.approx([0.052] * 3)
+    assert not session.study.path.exists()
+    session.set_scan("ear 7", "1900+-200", None)
+    assert StudyFile.read(tmp_path / "ear 7.toml").get("scan", "spacing_mm") == "0.052"
+    session.set_voxels(spacing_mm="0.026")  # the picture, and every place that is clicked, follows
+    assert session.scan.spacing_mm == pytest.approx([0.026] * 3)
+    assert session.drawing is None
+    session.open(tmp_path / "plain.raw")
+    assert session.lacking == LAYOUT
+    shape = ",".join(map(str, voxels.shape[::-1]))
+    assert "spacing" in session.set_voxels(shape=shape, dtype=voxels.dtype.name)
+    assert session.set_voxels(spacing_mm="0.052") == ""
+    assert session.scan.shape == voxels.shape
+    session.start("found")
+    session.job.stop()
+    assert "Stopped" in session.finish()
+
+
+def test_a_surface_mesh_is_measured_without_labels(measured, tmp_path):
+    shutil.copy(measured[0] / "ear1_app" / "found" / "stapes.ply", tmp_path / "stapes.ply")
+    session = Session(StudyFile(tmp_path / ".none.toml"))
+    session.open(tmp_path / "stapes.ply")
+    run(session, "found")
+    assert session.mass["found"]["mass_kg"] > 0.0
+    assert session.drawing is None
+    assert set(session.surfaces()) == {"stapes"}
 
 
 def test_labels_that_somebody_else_made_are_neither_written_over_nor_forgotten(session):

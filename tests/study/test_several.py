@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
+import threading
+import time
 from pathlib import Path
 
 import pandas as pd
@@ -111,3 +114,26 @@ def test_a_killed_worker_costs_the_time_of_one_ear(
     assert (tmp_path / "killed").exists()
     assert {name: end.code for name, end in result.ends.items()} == {"killer": 2, "other": 2}
     assert all("scan.nrrd" in end.fault for end in result.ends.values())
+
+
+def test_an_interruption_ends_the_study_at_work_and_begins_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = tmp_path / "begun"
+    program = tmp_path / "program"
+    program.write_text(f'#!/bin/sh\necho "$4" >> "{begun}"\nexec sleep 60\n')
+    program.chmod(0o755)
+    monkeypatch.setattr("sys.executable", str(program))
+
+    def interrupt() -> None:
+        while not begun.exists():
+            time.sleep(0.02)
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+
+    started = time.monotonic()
+    threading.Thread(target=interrupt, daemon=True).start()
+    studies = {name: tmp_path / name for name in ("one", "two", "three")}
+    with pytest.raises(KeyboardInterrupt):
+        run_here(1)(studies, tmp_path / "out", False, lambda _name, _end: None)
+    assert time.monotonic() - started < 20.0
+    assert begun.read_text().splitlines() == [str(tmp_path / "one")]
