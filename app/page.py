@@ -100,7 +100,7 @@ def choose(attempt, session, set_marks, set_mass, set_picture, set_results, set_
     def chosen(files):
         def action():
             lacks = session.open(Path(files[0].path))
-            return f"{files[0].name} opened. {lacks}"
+            return f"{files[0].name} opened. {lacks and f'{lacks} There is a field for it.'}"
 
         if files:
             attempt(action, set_study, set_picture, set_mass, set_marks, set_results)
@@ -155,7 +155,11 @@ def scan_controls(as_words, attempt, browser, get_study, session, set_mass, set_
         def typed(words):
             parts = words.rsplit(maxsplit=len(keys) - 1) if words.strip() else []
             stated_now = dict.fromkeys(keys) | dict(zip(keys, parts, strict=False))
-            attempt(lambda: session.set_voxels(**stated_now), set_picture, set_mass)
+
+            def action():
+                return session.set_voxels(**stated_now) or "The scan is shown with these voxels."
+
+            attempt(action, set_picture, set_mass)
 
         return mo.ui.text(" ".join(values).strip(), label=label, placeholder=example, on_change=typed)
 
@@ -266,6 +270,8 @@ def show_picture(attempt, get_picture, picture, session):
             picture.show(*grey_values(session.scan, drawing), drawing)
         elif drawing is not None:
             picture.show(60 * drawing.shown, drawing.affine, drawing)
+        else:
+            picture.clear()
 
     attempt(show)
     return

@@ -99,10 +99,16 @@ class Picture(NiiVue):  # type: ignore[misc]
 
     def show(self, grey: NDArray[np.uint8], affine: Array, drawing: Drawing | None = None) -> None:
         """Show grey values [s, a, r] and, on the same voxels, the labels of a drawing."""
-        path = write_nifti(self._next("grey.nii"), grey, affine)
+        self.clear()
         self._drawing = drawing
-        self.close_drawing()
-        self.load_volumes([{"path": path}])
+        self.load_volumes([{"path": write_nifti(self._next("grey.nii"), grey, affine)}])
+
+    def clear(self) -> None:
+        """Show no scan, and forget the place that was clicked in the last one."""
+        self._drawing, self.point = None, None
+        if self.volumes:
+            self.close_drawing()
+            self.load_volumes([])
 
     def show_change(self, change: Change | None) -> None:
         """Draw voxels that have changed."""

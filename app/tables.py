@@ -82,7 +82,7 @@ def _panel(what: str, title: str, scale: Mapping[str, Any]) -> dict[str, Any]:
     """Return one panel of a chart."""
     x = {"field": "frequency, Hz", "type": "quantitative", "scale": {"type": "log", "nice": False}}
     y = {"field": what, "type": "quantitative", "scale": scale, "title": title}
-    marks = {"measured": {"type": "circle", "size": 12, "color": "#555555"},
+    marks: dict[str, dict[str, Any]] = {"measured": {"type": "circle", "size": 12, "color": "#555555"},
              "fitted": {"type": "line", "color": "#d55e00"}}  # fmt: skip
     layers: list[dict[str, Any]] = [
         {"transform": [{"filter": f"datum.kind == '{kind}'"}], "encoding": {"x": x, "y": y},

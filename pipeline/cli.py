@@ -70,6 +70,7 @@ def _check(paths: Sequence[Path], chosen: RunOptions) -> Outcome:
 
 
 def _one(study: Path, chosen: RunOptions) -> Outcome:
+    import os
     import sys
     from pathlib import Path
 
@@ -91,7 +92,8 @@ def _one(study: Path, chosen: RunOptions) -> Outcome:
         result = run_study(study, out, force=chosen.force, progress=progress, tell=tell)
         if chosen.figures is not None:
             write_figures(result, chosen.figures, chosen.force)
-    files = [result.out / name for names in FILES.values() for name in names if (result.out / name).exists()]
+    near = Path(os.path.relpath(result.out)) if result.out.is_relative_to(Path.cwd()) else result.out
+    files = [near / name for names in FILES.values() for name in names if (near / name).exists()]
     content = {"schema": "stapeskit.scan2kd/1", "out": str(result.out), "mass": result.mass, "kd": result.kd}
     return Outcome(result.title, summary_rows(result), (), files, content, chosen.as_json, chosen.quiet)
 

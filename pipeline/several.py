@@ -184,7 +184,7 @@ def run_studies(
     records = {ear.folder: out / ear.folder / "kd.json" for ear in ears}
     with outputs.staged() as stage:
         write_cohort(stage, found, {"studies": list(named)}, records, failed)
-    return SeveralResult(found, ends, tuple(out / name for name in FILES))
+    return SeveralResult(found, ends, outputs.paths())
 
 
 def _cohort(ears: Sequence[Ear], failed: Mapping[str, str], choices: Mapping[str, Any]) -> Cohort:

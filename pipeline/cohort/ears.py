@@ -217,7 +217,8 @@ def _quantity(name: str, exponent: float | None, numbers: Sequence[_Number]) -> 
 
 
 def ear_frame(ears: Sequence[Ear], failed: Mapping[str, str] | None = None) -> Any:
-    """Return a pandas table of cohort.csv, SI: an ear a row, each quantity with its sd, the verdict.
+    """Return a pandas table of cohort.csv, SI: an ear a row, each quantity with its sd, the verdict, and
+    what the study states of the ear.
 
     Parameters
     ----------
@@ -235,6 +236,8 @@ def ear_frame(ears: Sequence[Ear], failed: Mapping[str, str] | None = None) -> A
         "damping_exponent": [ear.damping_exponent for ear in ears],
         "warnings": [ear.warnings for ear in ears],
     }
+    for name in dict.fromkeys(name for ear in ears for name in ear.about):
+        columns.setdefault(name, [ear.about.get(name) for ear in ears])
     for quantity in quantities(ears) if ears else []:
         end = f"_{quantity.unit}".replace("/", "_per_").replace(" ", "_").lower() if quantity.unit else ""
         columns[f"{quantity.name}{end}"] = quantity.values

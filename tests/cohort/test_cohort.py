@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.cohort.cohort import cohort, cohort_of
-from pipeline.cohort.ears import quantities, read_ear
+from pipeline.cohort.ears import ear_frame, quantities, read_ear
 from pipeline.cohort.laws import LEAST_EARS
 from pipeline.cohort.page import FILES
 from stapeskit.faults import StapeskitError
@@ -82,6 +82,14 @@ def test_ears_of_one_body_of_one_scan_are_named(ears):
         "inputs": {"scan": {"hash": "abc"}}, "parameters": {"seed_mm": [float(number), 0.0, 0.0]}
     }}) for number, ear in enumerate(ears[:2])]  # fmt: skip
     assert "scan_shared" not in {notice.code for notice in cohort_of([*apart, *ears[2:]]).notices}
+
+
+def test_what_a_study_states_of_an_ear_is_a_column(ears):
+    known = [replace(one, about={**one.about, "storage_days": float(k)}) for k, one in enumerate(ears[:3])]
+    table = ear_frame([*known, ears[4]], {"lost": "no scan"})
+    assert table["subject"].tolist()[:4] == ["s0", "s1", "s2", "s4"]
+    assert table["storage_days"].tolist()[:3] == [0.0, 1.0, 2.0]
+    assert table["storage_days"].isna().tolist() == [False] * 3 + [True] * 2
 
 
 CHANGES = {

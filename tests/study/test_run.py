@@ -127,6 +127,29 @@ def test_cheap_checks_come_first(small: tuple[Path, Truth], tmp_path: Path) -> N
     assert not (tmp_path / "out").exists()
 
 
+def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_computed(
+    small: tuple[Path, Truth], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.access", lambda _path, _mode: False)  # root may write everywhere
+    monkeypatch.setattr("ct_inertia.ct2mass.measure_mass", None)
+    with pytest.raises(StapeskitError) as raised:
+        scan2kd(small[0] / "study.toml", out=tmp_path / "closed" / "out")
+    assert {fault.thing for fault in raised.value.faults} == {"the output folder"}
+
+
+def test_faults_of_a_study_name_its_keys(small: tuple[Path, Truth], tmp_path: Path) -> None:
+    copied(small, tmp_path)
+    study = tmp_path / "study.toml"
+    raw = study.read_text().replace('"scan.nrrd"', '"scan.raw"')
+    (tmp_path / "scan.raw").write_bytes(b"voxels")
+    study.write_text(raw)
+    with pytest.raises(StapeskitError) as raised:
+        check_study(read_study(study))
+    (fault,) = raised.value.faults
+    assert "scan.dtype" in fault.next_step
+    assert "--" not in fault.next_step
+
+
 def test_an_output_that_is_an_input_is_refused(small: tuple[Path, Truth], tmp_path: Path) -> None:
     shutil.copytree(small[0], tmp_path / "ear")
     (tmp_path / "ear" / "dof.csv").write_text("mine\n")
