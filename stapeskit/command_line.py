@@ -40,12 +40,20 @@ def parse(
     try:
         known, rest = _parser(prog, text, entries, epilog).parse_known_args(joined)
     except argparse.ArgumentError as error:
-        got = "nothing" if error.message.startswith("expected") else error.message
-        raise StapeskitError.of(error.argument_name or prog, f"given as {prog} --help shows", got) from None
+        alone = error.message.startswith("expected")
+        expected, got = ("followed by a value", "nothing") if alone else ("as its help shows", error.message)
+        raise StapeskitError.of(
+            error.argument_name or prog, expected, got, "", f"See {prog} --help"
+        ) from None
     given = vars(known)
     values_of_unknown = {after for before, after in itertools.pairwise(rest) if before.startswith("--")}
     wrong = [word for word in rest if word.startswith("-") or word not in values_of_unknown]
-    faults = [unknown(word.split("=")[0], flags) for word in wrong]
+    faults = [
+        unknown(word.split("=")[0], flags)
+        if word.startswith("-")
+        else Fault(word, "the value of an option", "a word on its own", "", f"See {prog} --help")
+        for word in wrong
+    ]
     for entry in entries:
         if isinstance(value := given.get(entry.key), list) and not entry.repeats:
             if len(set(value)) > 1:

@@ -90,10 +90,10 @@ def rows(value: Any) -> list[Any]:
 
 
 def number(value: Any) -> float:
-    """Read a finite number out of text or a number."""
+    """Read a finite number out of text or a number; a minus sign as pages print it is one."""
     value = value.item() if hasattr(value, "item") else value
     require(isinstance(value, int | float | str) and not isinstance(value, bool))
-    result = float(value)
+    result = float(value.replace("\N{MINUS SIGN}", "-") if isinstance(value, str) else value)
     require(math.isfinite(result))
     return result
 

@@ -92,7 +92,7 @@ class Opt:
             between = "-" if self.kind.metavar == "F1-F2" else ","
             shown = on_command_line(self.example, between) if called.startswith("--") else toml(self.example)
             step = f"Write for example {shown}"
-        return Fault(called, self.kind.expected, text, where, step)
+        return Fault(called, self.kind.expected, text.strip() or "nothing", where, step)
 
 
 @dataclass(frozen=True)
@@ -302,7 +302,7 @@ def on_command_line(value: Any, between: str = ",") -> str:
     if isinstance(value, list | tuple):
         first = value[0] if value and isinstance(value[0], list | tuple) else value
         return between.join(map(on_command_line, first))
-    return str(value)
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def template(title: str, tables: Sequence[type[Options]]) -> str:

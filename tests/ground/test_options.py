@@ -81,6 +81,7 @@ VALUES = {
     "--box -1,-2,-3,4,5,6": ("box_mm", (-1.0, -2.0, -3.0, 4.0, 5.0, 6.0)),
     "--anterior -0.9,0.1,0": ("anterior", (-0.9, 0.1, 0.0)),
     "--anterior=-0.9,0.1,0": ("anterior", (-0.9, 0.1, 0.0)),
+    "--anterior \N{MINUS SIGN}0.9,0.1,0": ("anterior", (-0.9, 0.1, 0.0)),
     "--mirror z": ("mirror", "z"),
     "--nan-as-air": ("nan_as_air", True),
     "--add-mass 1,2,3,.5+-.1 --add-mass 0,0,0,1": ("add_mass", ((1, 2, 3, 0.5, 0.1), (0, 0, 0, 1, 0))),
@@ -119,6 +120,9 @@ UNFIT = {
     "--add-mass 1,2,3": "--add-mass",
     "--treshold 3": "--treshold",
     "--density 1 --density 2": "--density",
+    "--box=": "--box",
+    "--density": "--density",
+    "other.tif": "other.tif",
     "nothing.tif": "SCAN",
 }
 
@@ -192,6 +196,13 @@ def test_a_broken_rule_is_told_by_the_key_and_file_of_a_study(tmp_path: Path, st
         MassOptions.from_study(values, "study.toml", tmp_path)
     assert "scan.threshold" in [fault.thing for fault in raised.value.faults]
     assert all(fault.where == "study.toml" and "--" not in str(fault) for fault in raised.value.faults)
+
+
+@pytest.mark.parametrize("words", ["--density", "--box="])
+def test_a_value_that_is_missing_is_said_to_be(words: str, scan_file: Path) -> None:
+    with pytest.raises(StapeskitError) as raised:
+        parsed(f"scan.tif {words}")
+    assert [fault.got for fault in raised.value.faults] == ["nothing"]
 
 
 def test_an_unfit_range_is_answered_as_it_is_written_on_the_command_line(scan_file: Path) -> None:
