@@ -165,21 +165,22 @@ def _geometry(path: Path, mm: float, stated: bool, big: bool) -> tuple[Stored, i
 
 def _flatten(stored: Stored, stream: Stream, layers: int, segments: Sequence[_Segment], path: Path) -> None:
     """Number the segments of a layered segmentation 1, 2, ... in the order of the file."""
-    if not segments or not stream.packed:
-        raise several_values(f"{layers} values (no packed segmentation of 3D Slicer)")
+    if not segments:
+        raise several_values(f"{layers} values (no segmentation of 3D Slicer)")
     shape, dtype = (*stored.shape, layers), stored.dtype
 
     def labels() -> NDArray[Any]:
         values = unpacked(stream, shape, dtype, path)
         numbers = np.zeros(shape[:3], dtype=np.uint16)
-        for number, (layer, value, _) in enumerate(segments, start=1):
-            numbers[values[..., layer] == value] = number
+        masks = [values[..., layer] == value for layer, value, _ in segments]
+        for k in sorted(range(len(masks)), key=lambda k: -np.count_nonzero(masks[k])):
+            numbers[masks[k]] = k + 1
         return numbers
 
     stored.names = {number: name for number, (_, _, name) in enumerate(segments, start=1)}
     listed = ", ".join(f"{number} {name}" for number, name in stored.names.items())
     stored.note(
         f"The segments of {path.name} lie in several layers; they were numbered {listed}. Where two overlap "
-        f"the later one counts."
+        f"the smaller one counts."
     )
     stored.dtype, stored.voxels, stored.files = np.dtype(np.uint16), unpack_once(labels), (stream.file,)

@@ -95,7 +95,7 @@ def find_voxels(stored: Stored, path: Path) -> None:
 
 
 def unpacked(stream: Stream, shape: Sequence[int], dtype: np.dtype[Any], path: Path) -> NDArray[Any]:
-    """Return the voxels of a packed stream, read to the check sum at its end; ``path`` is that of the header.
+    """Return the voxels of a stream, if packed read to the check sum at its end; ``path`` is the header's.
 
     Raises
     ------
@@ -110,8 +110,9 @@ def unpacked(stream: Stream, shape: Sequence[int], dtype: np.dtype[Any], path: P
         with stream.file.open("rb") as source:
             source.seek(stream.start)
             content = source.read()
-        packing: Any = {b"\x1f\x8b": gzip, b"BZ": bz2}.get(content[:2], zlib)
-        content = packing.decompress(content)
+        if stream.packed:
+            packing: Any = {b"\x1f\x8b": gzip, b"BZ": bz2}.get(content[:2], zlib)
+            content = packing.decompress(content)
     except (EOFError, zlib.error, OSError) as fault:
         raise wrong_file("packed stream", "a damaged or truncated one", stream.file.name) from fault
     first = _first_byte(stream, 0, len(content), shape, prod(shape[1:]) * dtype.itemsize, path)

@@ -37,7 +37,7 @@ def open_slices(folder: Path) -> Stored:
     if others:
         stored.note(f"{others} other image files in {folder.name} are not part of the series: left out.")
     _note_gaps(stored, numbers, folder.name)
-    logs = sorted(folder.glob("*.log"))
+    logs = sorted(file for file in folder.iterdir() if file.suffix.lower() == ".log")
     if files[0].suffix.lower() in _TIFF:
         import tifffile
 
@@ -142,7 +142,7 @@ def _read_logs(stored: Stored, logs: Sequence[Path]) -> None:
             if count not in (None, held)
         )
         if size is not None and other:
-            other_slices = f"the slices were cropped, scaled or come from another scan: {other}"
+            other_slices = f"slices are missing, were cropped or scaled, or come from another scan: {other}"
         elif size is not None:
             sizes.setdefault((size, max(1.0, _number(after, "Section to Section Step") or 1.0)), log.name)
         elif projected is not None:

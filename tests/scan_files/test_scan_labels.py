@@ -50,19 +50,21 @@ def test_a_crop_is_read_back_at_its_place(tmp_path, kind):
     assert np.array_equal(sitk.GetArrayFromImage(sitk.ReadImage(str(tmp_path / "crop.nrrd"))), picture(kind))
 
 
-def layered(path):
-    """A segmentation of 3D Slicer whose segments overlap: two layers."""
+def layered(path, bone=False, packed=True):
+    """A segmentation of 3D Slicer whose segments overlap: two layers; the second one may be all bone."""
     values = np.zeros((7, 6, 5, 2), np.uint8)
-    values[1:4, ..., 0], values[4:6, ..., 0], values[3:5, ..., 1] = 1, 2, 1
+    values[1:4, ..., 0], values[4:6, ..., 0], values[0 if bone else 3 : 5, ..., 1] = 1, 2, 1
     steps = " ".join("(" + ",".join(f"{v:g}" for v in row) + ")" for row in np.diag(SPACING))
     text = (
         "NRRD0004\ntype: uint8\ndimension: 4\nspace: left-posterior-superior\nsizes: 2 5 6 7\n"
-        f"space directions: none {steps}\nkinds: list domain domain domain\nencoding: gzip\n"
+        f"space directions: none {steps}\nkinds: list domain domain domain\n"
+        f"encoding: {'gzip' if packed else 'raw'}\n"
         "space origin: (1,2,3)\n"
     )
     for k, (value, layer, name) in enumerate(((1, 0, "stapes"), (2, 0, "plate"), (1, 1, "incus"))):
         text += f"Segment{k}_LabelValue:={value}\nSegment{k}_Layer:={layer}\nSegment{k}_Name:={name}\n"
-    path.write_bytes(text.encode() + b"\n" + gzip.compress(values.tobytes()))
+    voxels = values.tobytes()
+    path.write_bytes(text.encode() + b"\n" + (gzip.compress(voxels) if packed else voxels))
     return path
 
 
@@ -74,6 +76,11 @@ def test_a_layered_segmentation_becomes_one_label_volume(tmp_path):
     assert grid.origin_mm.tolist() == [1.0, 2.0, 3.0]
     (text,) = [notice.text for notice in grid.notices if notice.code == "file_read"]
     assert "1 stapes, 2 plate, 3 incus" in text
+
+
+def test_a_segment_of_all_bone_does_not_cover_the_stapes_in_it(tmp_path):
+    labels, _ = open_labels(layered(tmp_path / "a.seg.nrrd", bone=True, packed=False))
+    assert [int(labels[k, 0, 0]) for k in range(7)] == [3, 1, 1, 1, 2, 2, 0]
 
 
 def test_materials_name_the_labels_of_amira(tmp_path):

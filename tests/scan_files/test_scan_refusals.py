@@ -206,9 +206,10 @@ def test_only_a_reconstruction_log_gives_the_voxel_size(tmp_path):
     (folder / "a.log").write_text(acquired)
     (folder / "rec_spr.bmp").write_bytes(b"a preview")
     assert "9.9 um" in refused(folder, None).got
-    (folder / "rec.log").write_text(right, newline="\r\n")
+    (folder / "rec.LOG").write_text(right, newline="\r\n")
+    assert open_scan(folder).spacing_mm == pytest.approx([0.02] * 3)
+    (folder / "rec.LOG").rename(folder / "rec.log")
     scan = open_scan(folder)
-    assert scan.spacing_mm == pytest.approx([0.02] * 3)
     assert {notice.code for notice in scan.notices} == {"handedness_unconfirmed"}
     (folder / "rec.log").write_text(right.replace("Step=1", "Step=2"))
     assert open_scan(folder).spacing_mm == pytest.approx([0.02, 0.02, 0.04])
