@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -208,6 +208,7 @@ def run_study(
     else:
         with study.scan.as_keys():
             mass = measure_mass(study.scan, progress)
+        mass = replace(mass, notices=study.scan.in_keys(mass.notices))
         with outputs["scan"].staged() as stage:
             mass.write_into(stage, report=False)
             for path in stage.iterdir():  # of ct2mass: surfaces and voxels that few have a use for here

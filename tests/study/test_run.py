@@ -150,6 +150,13 @@ def test_faults_of_a_study_name_its_keys(small: tuple[Path, Truth], tmp_path: Pa
     assert "--" not in fault.next_step
 
 
+def test_warnings_of_a_study_name_its_keys(finished: StudyResult) -> None:
+    """The scan's warnings advise a coat: in a study that is a key of its table."""
+    texts = {notice.code: notice.text for notice in finished.notices}
+    assert "scan.coat_um" in texts["bare_bone_assumed"]
+    assert not any("--coat" in notice.text for notice in finished.notices)
+
+
 def test_an_output_that_is_an_input_is_refused(small: tuple[Path, Truth], tmp_path: Path) -> None:
     shutil.copytree(small[0], tmp_path / "ear")
     (tmp_path / "ear" / "dof.csv").write_text("mine\n")
