@@ -26,7 +26,7 @@ _LIMIT_S, _LIMIT_S_PER_BYTE = 5.0, 2e-6  # of processor time: pyuff takes 0.1e-6
 _HEAD_BYTES = 1 << 16  # holds the header of every known format
 _ZIP, _COMPOUND, _HDF5 = b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", b"\x89HDF\r\n\x1a\n"
 _TABLES = (".csv", ".tsv", ".txt")
-_TIDY = {"body", "dir", "dir_x", "freq_hz"}
+_TIDY = {"body", "point", "dir", "dir_x"}
 _UFF = re.compile(rb"[\r\n]*(?:\xef\xbb\xbf)?[ \t]*-1[ \t]*\r?\n[ \t]*\d{1,6}[bB ]?")
 _EXPORT_STEP = (
     "Export the spectra of all points in the program that wrote it, as UFF (universal file, with geometry) "

@@ -73,6 +73,7 @@ def recording_of(file: str, rows: Sequence[Row], twice: str = _ONE_SIGNAL, **fac
     if not rows:
         step = "Export the points with their spectra"
         raise StapeskitError.of("the file", "with values of at least one point", "none", file, step)
+    raise_all(_thousands_faults(rows))
     rows, faults = _in_si([replace(row, file=file) for row in rows])
     raise_all([*faults, *_line_faults(rows)])
     kinds = {"peak" if row.per else row.unit.amplitude for row in rows if isinstance(row.unit, MotionUnit)}
@@ -192,6 +193,23 @@ def _line_faults(rows: Sequence[Row]) -> list[Fault]:
             got += texts or ["none"]
     want, step = "finite, different and not negative", "Write every frequency once, in Hz"
     return [fault_of(bad, "the frequencies", want, list_some(got), step)] if bad else []
+
+
+def _thousands_faults(rows: Sequence[Row]) -> list[Fault]:
+    """Refuse frequencies that ascend in the order of the file when 1.05 behind 950 is 1050."""
+    bad, got = list[Row](), list[str]()
+    for row in rows:
+        for freq in (row.freq_hz, row.freq_hz[::-1]):
+            falls = np.flatnonzero(np.diff(freq) < 0.0)
+            if not len(falls):
+                break
+            before, after = freq[: falls[0] + 1], 1000.0 * freq[falls[0] + 1 :]
+            follows = before[-1] < 1000.0 <= after[0] <= 2.0 * before[-1]
+            if follows and np.all(np.diff(np.concatenate([before, after])) > 0.0):
+                bad.append(row)
+                got.append(f"{after[0] / 1e3:g} behind {before[-1]:g}")
+    want, step = "written without marks between thousands", "Write 1050, not 1,050 or 1.050"
+    return [fault_of(bad, "the frequencies", want, list_some(got, 2), step)] if bad else []
 
 
 def _one_quantity(rows: Sequence[Row], file: str) -> tuple[list[Row], list[Notice]]:

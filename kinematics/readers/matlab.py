@@ -17,15 +17,14 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.readers.facts import FileFacts
+from kinematics.readers.facts import FileFacts, direction_of
 from kinematics.readers.gather import from_parts, recording_of
 from kinematics.readers.recording import Recording, Row, unknown_vector
 from kinematics.readers.text import plain_name
 from kinematics.readers.tree import STRINGS, read_tree
-from kinematics.readers.units import LENGTHS
+from kinematics.readers.units import HERTZ, LENGTHS
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, collect_faults, list_some, raise_all
-from stapeskit.frames import axis_vector
 from stapeskit.warnings import Notice
 
 NAMES = {
@@ -42,6 +41,7 @@ NAMES = {
 
 VALUES = ("y", "v", "amp", "vib", "fft", "frf", "h1", "h2", "value")
 _VALUE = re.compile(rf"((?:{'|'.join(VALUES)})?(?:_?([xyz]))?)_?(re|im|real|imag)?")
+_DESCRIPTIONS = ("usd", "usd_x", "usd_y", "usd_z")
 _DOF_TEXT = re.compile(r"ptc(Plus|Minus)([XYZ])Translation")  # names of Polytec's PTCDirection
 _STRING_STEP = "Save it as char or cell array: names = cellstr(names); unit = char(unit); then save again"
 _STEP = (
@@ -69,6 +69,9 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         held = _variables_of({name: one for name, one in tree.items() if name not in strings}, path.name)
         if unknown := list_some((name for one in held for name in one.unknown()), 12):
             text = f"{path.name}: {unknown} have a value a frequency, but are no names of values: left out."
+            notices.append(Notice("file_read", text))
+        if square := list_some((name for one in held for name in one.square()), 6):
+            text = f"{path.name}: {square} have as many rows as columns: their rows were taken as points."
             notices.append(Notice("file_read", text))
         return recording_of(
             path.name,
@@ -159,7 +162,7 @@ class Variables:
         """Return the texts of a variable, one a row; one is that of all rows."""
         value = self.held.get(name, "")
         values = [value] if isinstance(value, str) else np.asarray(value).reshape(-1).tolist()
-        texts = [plain_name(f"{one:g}" if isinstance(one, float) else str(one)) for one in values]
+        texts = [plain_name(str(one)) for one in values]
         if len(texts) not in (1, count):
             self.refuse(name, f"{count} texts, one a row", len(texts))
         return texts * (count // len(texts))
@@ -173,6 +176,11 @@ class Variables:
     def rows(self) -> list[Row]:
         """Read every beam at every point; all faults of the variables together."""
         freq = self.numbers(self.name("frequency")).reshape(-1).astype(float)
+        described = [one for name in _DESCRIPTIONS if isinstance(one := self.held.get(name), Mapping)]
+        unit = next((str(one["XUnit"]).strip() for one in described if "XUnit" in one), "") or "Hz"
+        if unit.lower() not in HERTZ:
+            self.refuse("the unit of the frequencies (XUnit)", "Hz, kHz or MHz", unit)
+        freq = freq * HERTZ[unit.lower()]
         beams = self._beams()
         if not beams:
             want, got = f"with spectra named {', '.join(VALUES)}", f"the variables {list_some(self.held, 12)}"
@@ -205,6 +213,12 @@ class Variables:
             for name, one in arrays.items()
             if name not in read and one.dtype.kind in "fciu" and lines > 1 and lines in one.shape
         ]
+
+    def square(self) -> list[str]:
+        """Return the names of the matrices that may be points x columns as well as columns x points."""
+        read = {name for parts in self._beams().values() for name in parts.values()}
+        read |= {self.name(role) for role in ("position", "direction") if self.name(role)}
+        return [name for name in read if np.ndim(one := self.held[name]) == 2 and len(set(one.shape)) == 1]
 
     def _rows_of(self, parts: Mapping[str, str], axis: str, freq: Array) -> list[Row]:
         """Return one row for every point of a beam, whose real and imaginary ``parts`` may be apart."""
@@ -247,15 +261,18 @@ class Variables:
 
     def _directions(self, axis: str, usd: Mapping[str, Any], count: int) -> Array:
         """Return the direction of the beam at every point, (count, 3), NaN where it is not stated."""
-        stated = axis or self.held.get(self.name("direction"), "")
+        name = self.name("direction")
+        stated = axis or self.held.get(name, "")
         if not isinstance(stated, str):
-            return self.shaped(self.name("direction"), 3, count).astype(float)
+            if np.asarray(stated).dtype.kind in "fiu":
+                return self.shaped(name, 3, count).astype(float)
+            return np.array([direction_of(text, self.file, name) for text in self.texts(name, count)])
         dofs = usd.get("ResponseDOFs")  # +-1, 2, 3 for +-x, y, z, or texts
         dofs = dofs[0] if isinstance(dofs, list | np.ndarray) and len(dofs) else dofs
-        code = dofs.get("Direction") if isinstance(dofs, Mapping) and not stated else 0
+        code = dofs.get("Direction", 0) if isinstance(dofs, Mapping) and not stated else 0
         if isinstance(code, str) and (text := _DOF_TEXT.fullmatch(code)):
             stated = ("-" if text[1] == "Minus" else "") + text[2].lower()
-        if isinstance(code, int | float) and abs(code) in (1, 2, 3):
+        elif np.size(code) == 1 and np.asarray(code).dtype.kind in "fiu" and abs(code) in (1, 2, 3):
             stated = ("-" if code < 0 else "") + "xyz"[int(abs(code)) - 1]
-        vector = axis_vector(stated) if stated else None
-        return np.tile(unknown_vector() if vector is None else vector, (count, 1))
+        vector = direction_of(stated, self.file, name) if stated else unknown_vector()
+        return np.tile(vector, (count, 1))

@@ -19,7 +19,7 @@ import numpy as np
 from kinematics.readers.facts import FileFacts
 from kinematics.readers.gather import recording_of
 from kinematics.readers.recording import Recording, Row, unknown_vector
-from kinematics.readers.sheets import Sheet, number_of, sheets_of
+from kinematics.readers.sheets import Sheet, sheets_of
 from kinematics.readers.text import decoded, export_files
 from kinematics.readers.units import HERTZ, LENGTHS, is_none, plain
 from kinematics.readers.wide import frequencies_of, rows_of
@@ -32,6 +32,7 @@ _FREQUENCY = ("frequency", "frequenz", "fréquence")
 _POINT = ("point index", "punktindex", "punkt-index")
 _COMPONENT = ("component", "komponente", "composante", "signal")
 _INDEX = ("index", *_POINT)
+_MIXED = ("interpolated", "filtered", "interpoliert", "gefiltert", "interpolé", "filtré")
 _AXIS = re.compile(r"(?:^|\bvib)\s*(?:vib\s*)?([+-]?)([xyz])\b", re.IGNORECASE)
 _PLACE = re.compile(
     r"\b([xyz])\s*=?\s*([+-]?\d[\d.,]*(?:e[+-]?\d+)?)\s*(m|mm|um|µm|cm)?(?![a-z])", re.IGNORECASE
@@ -133,7 +134,7 @@ def _of_point(sheet: Sheet) -> tuple[list[Row], bool]:
     position, stated = unknown_vector(), True
     found = {match[1].lower(): match for match in _PLACE.finditer(text, number.end())}
     if len(found) == 3:
-        numbers = [number_of(found[axis][2].rstrip(",.").replace(",", ".")) for axis in "xyz"]
+        numbers = [sheet.number(found[axis][2].rstrip(",.")) for axis in "xyz"]
         units = {match[3] for match in found.values() if match[3]}
         if None in numbers or len(units) > 1:
             raise sheet.refuse("the position of a point", "three numbers, x = .. y = .. z = ..", text)
@@ -174,16 +175,17 @@ def _frequency(sheet: Sheet) -> float:
     """Return the frequency of the points, Hz."""
     text = sheet.field_of(_FREQUENCY)
     match = _HERTZ.fullmatch(text)
-    number = number_of(match[1].replace(",", ".")) if match else None
+    number = sheet.number(match[1]) if match else None
     if match is None or number is None:
-        want, step = "one with a line Frequency: <f> Hz", "Export the bands of a FastScan with their header"
+        want = "one with a line Frequency: <f> Hz, without a mark of thousands"
+        step = "Export the bands of a FastScan with their header"
         raise sheet.refuse("the header", want, text, step)
     return number * HERTZ[match[2].lower()]
 
 
 def _notices(sheets: Sequence[Sheet], rows: Sequence[Row], file: str) -> list[Notice]:
     """Report values that were mixed between points, and x, y, z at a point, computed from several beams."""
-    marks = [sheet.fields.get(mark, "") for mark in ("interpolated", "filtered") for sheet in sheets]
+    marks = [sheet.fields.get(mark, "") for mark in _MIXED for sheet in sheets]
     mixed = (
         f"{file} was exported interpolated or filtered: values were mixed between points, so that points do "
         "not err independently. Export the measured values."

@@ -1,7 +1,7 @@
 """Tables of numbers in text: lines above (some ``Name: value``), names, perhaps units, and rows.
 
-A text may hold many tables. Tabs, semicolons or commas separate cells; with the first two commas may be
-decimal ones.
+A text may hold many tables. Tabs, semicolons or commas separate cells; with the first two, or in quotes,
+commas may be decimal ones.
 """
 
 from __future__ import annotations
@@ -28,17 +28,27 @@ Line = tuple[int, str]
 
 @dataclass(frozen=True)
 class Sheet:
-    """A table: place of its line of names, names and units of its columns, ``Name: value`` lines, numbers."""
+    """A table: place of its line of names, names and units of its columns, ``Name: value`` lines, numbers.
+
+    ``decimal`` is the mark of decimals in its rows; empty where they have none.
+    """
 
     where: Place
     names: tuple[str, ...]
     units: tuple[str, ...]
     fields: Mapping[str, str] = field(default_factory=dict)
     numbers: Array = field(default_factory=lambda: np.empty((0, 0)))
+    decimal: str = ""
 
     def field_of(self, names: Sequence[str]) -> str:
         """Return the value of the first ``Name: value`` line that is there; empty without one."""
         return next((self.fields[name] for name in names if name in self.fields), "")
+
+    def number(self, text: str) -> float | None:
+        """Read a number of the lines above; None of text, and of ``1,150`` where rows have decimal points."""
+        thousands = re.fullmatch(r"[+-]?\d{1,3}([.,])\d{3}", text.strip())
+        unclear = thousands is not None and thousands[1] != self.decimal
+        return None if unclear else number_of(text.replace(",", "."))
 
     def refuse(self, thing: str, expected: str, got: str, step: str = "") -> StapeskitError:
         """Return the error of the table, at its line of names."""
@@ -50,7 +60,7 @@ def sheets_of(text: str, file: str, faults: list[Fault]) -> list[Sheet]:
     found = []
     for above, rows in _regions(text):
         sheet, separator = _header(above, file)
-        found.append(replace(sheet, numbers=_numbers(sheet, rows, separator, faults)))
+        found.append(_with_numbers(sheet, rows, separator, faults))
     if not found:
         step = "Export it again with its header, or take it out of the folder"
         faults.append(Fault("the table", "one line of names above rows of numbers", "none", file, step))
@@ -58,11 +68,14 @@ def sheets_of(text: str, file: str, faults: list[Fault]) -> list[Sheet]:
 
 
 def _regions(text: str) -> Iterator[tuple[list[Line], list[Line]]]:
-    """Find the tables of a text: the lines above, and the rows, of which the first begins with a number."""
+    """Find the tables of a text: the lines above, and the rows, of which the first begins with a number.
+
+    Lines of empty cells, and comments (``#``) among the rows, are passed over.
+    """
     above: list[Line] = []
     rows: list[Line] = []
     for number, line in enumerate(text.split("\n"), 1):
-        if not line.strip():
+        if not line.strip(" \t;,\r\f") or (rows and line.lstrip().startswith("#")):
             continue
         if rows and _FIELD.match(line):
             yield above, rows
@@ -98,24 +111,33 @@ def _header(above: Sequence[Line], file: str) -> tuple[Sheet, str]:
     return sheet, separator
 
 
+def _split(line: str, separator: str) -> list[str]:
+    """Split a line into its cells, without the quotes around them."""
+    if '"' not in line:
+        return line.split(separator)
+    try:
+        return next(csv.reader([line], delimiter=separator), [])
+    except csv.Error:
+        return [line]
+
+
 def _cells(line: str, separator: str) -> list[str]:
     """Split a line of names or units; nothing stands behind the last one."""
-    try:
-        cells = next(csv.reader([line], delimiter=separator), []) if '"' in line else line.split(separator)
-    except csv.Error:
-        cells = [line]
+    cells = _split(line, separator)
     while cells and not cells[-1].strip():
         cells.pop()
     return [cell.strip() for cell in cells]
 
 
-def _numbers(sheet: Sheet, rows: Sequence[Line], separator: str, faults: list[Fault]) -> Array:
-    """Return the numbers of the rows, NaN for empty cells; rows at fault are reported and left out."""
+def _with_numbers(sheet: Sheet, rows: Sequence[Line], separator: str, faults: list[Fault]) -> Sheet:
+    """Return the table with its numbers, NaN for empty cells; rows at fault are reported and left out."""
     width, sound = len(sheet.names), []
-    comma = separator != "," and not any("." in line for _, line in rows)
-    for number, line in rows:
-        cells = (line.replace(",", ".") if comma else line).replace('"', "").split(separator)
+    table = [(number, _split(line, separator)) for number, line in rows]
+    point, comma = (any(mark in cell for _, cells in table for cell in cells) for mark in ".,")
+    commas = comma and not point
+    for number, cells in table:
         cells = cells[:-1] if len(cells) == width + 1 and not cells[-1].strip() else cells
+        cells = [cell.replace(",", ".") for cell in cells] if commas else cells
         where = Place(sheet.where.file, "line", (number,))
         if len(cells) != width:
             faults.append(Fault("a row", f"of {width} numbers", len(cells), where, CUT))
@@ -127,7 +149,8 @@ def _numbers(sheet: Sheet, rows: Sequence[Line], separator: str, faults: list[Fa
             step = "Write a plain number without separators of thousands, or leave the cell empty"
             thing = f"column {shown(sheet.names[bad])}"
             faults.append(Fault(thing, "a number", shown(cells[bad]), where, step))
-    return np.array(sound, dtype=float).reshape(len(sound), width)
+    numbers = np.array(sound, dtype=float).reshape(len(sound), width)
+    return replace(sheet, numbers=numbers, decimal="." if point else "," if comma else "")
 
 
 def number_of(cell: str) -> float | None:

@@ -163,13 +163,15 @@ def _rows_of(table: Table, columns: Columns, faults: list[Fault]) -> list[Row]:
     group, first = _numbered(keys)
     check_filled(len(first), len(np.unique(numbers["freq_hz"])), len(table), table.file)
     order = np.lexsort((numbers["freq_hz"], group))
-    freq, group = numbers["freq_hz"][order], group[order]
-    again = np.flatnonzero((np.diff(freq) <= SAME_LINE * freq[1:]) & (np.diff(group) == 0))
+    freq, sorted_group = numbers["freq_hz"][order], group[order]
+    again = np.flatnonzero((np.diff(freq) <= SAME_LINE * freq[1:]) & (np.diff(sorted_group) == 0))
     want = "the only one of its run, body, point, direction and frequency"
     step = "Number repeats in a column repeat, or remove the row"
     for line, earlier in zip(order[again + 1].tolist(), order[again].tolist(), strict=True):
         got = f"that of line {table.lines[earlier]}"
         faults.append(Fault("a row", want, got, table.where(line), step))
+    order = np.argsort(group, kind="stable")  # the lines of a row stay in the order of the file
+    freq, group = numbers["freq_hz"][order], group[order]
     one, other = (numbers[name][order] for name in columns.pair)
     value = from_polar(one, other, np.pi / 180.0) if columns.unit.part == "amp" else from_parts(one, other)
     noise = {"sd": columns.sd, **{name: name for name in EXTRA}}

@@ -23,7 +23,7 @@ from kinematics.readers.facts import FileFacts
 from kinematics.readers.gather import recording_of
 from kinematics.readers.recording import Recording, Row, unknown_vector
 from kinematics.readers.text import CUT, shown
-from kinematics.readers.units import MotionUnit, is_none, motion_unit, plain
+from kinematics.readers.units import HERTZ, MotionUnit, is_none, motion_unit, plain
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, list_some, raise_all
 from stapeskit.warnings import Notice
@@ -52,6 +52,7 @@ _FREQUENCY = (0, 1, 18)  # data characteristics of the abscissa: unknown, genera
 _BINARY = re.compile(rb"^ {4}58b", re.MULTILINE | re.IGNORECASE)
 _PADDED_RULE = re.compile(rb"^ {4}-1[ \t]+(\r?)$", re.MULTILINE)
 _FORTRAN_EXPONENT = re.compile(rb"(\d)[Dd]([+-]\d\d)")
+_TEXT_AXIS = re.compile(r"(?<![A-Za-z0-9+-])([+-]?)([XYZ])(?![A-Za-z0-9])")
 _GLOBAL = (np.eye(3), np.zeros(3))  # axes in rows and origin
 
 
@@ -81,9 +82,10 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         raise_all(faults)
     notices = _notices(usable, listed, stated is not None, path.name)
     nodes = _nodes(sets, {int(one["rsp_node"]) for one in usable}, path.name, faults, notices)
-    coherence = {_response(one): one for one in sets if one.get("func_type") == COHERENCE}
-    rows = [_row(one, nodes, stated or 1.0, coherence.get(_response(one)), path.name) for one in usable]
-    raise_all([*faults, *_excitation_faults(usable, path.name)])
+    coherences = [one for one in sets if one.get("func_type") == COHERENCE]
+    rows = [_row(one, nodes, stated or 1.0, coherences, path.name) for one in usable]
+    faults += [*_excitation_faults(usable, path.name), *_direction_faults(usable, path.name, notices)]
+    raise_all(faults)
     lengths = "as metres" if stated is None else f"by dataset 164, {stated:g} per metre"
     return recording_of(
         path.name,
@@ -138,7 +140,8 @@ def _unusable(one: Dataset) -> str:
         " of another quantity": order is None and not unnamed,
         " whose unit is that of another quantity": unit is not None and order not in (None, unit.order),
         " of a rotation": abs(one["rsp_dir"]) > 3,
-        " over something else": one["abscissa_spec_data_type"] not in _FREQUENCY,
+        " over something else": one["abscissa_spec_data_type"] not in _FREQUENCY
+        or (_label(one, "abscissa") or "Hz").lower() not in HERTZ,
         " of real numbers, without phase": not np.iscomplexobj(one["data"]),
     }
     return next((f"{kind}{text}" for text, true in reasons.items() if true), "")
@@ -146,13 +149,34 @@ def _unusable(one: Dataset) -> str:
 
 def _label(one: Dataset, axis: str) -> str:
     """Return the unit of an axis; empty where none is stated."""
-    label = str(one.get(f"{axis}_axis_units_lab", ""))
+    label = str(one.get(f"{axis}_axis_units_lab", "")).strip()
     return "" if is_none(label) else label
 
 
-def _response(one: Dataset) -> tuple[int, ...]:
-    """Return the key that a coherence shares with its response."""
-    return one["rsp_node"], abs(one["rsp_dir"]), one["load_case_id"]
+def _coherence(one: Dataset, others: Sequence[Dataset], where: Place) -> Array | None:
+    """Return the coherence (L,) of a response, None without one; of several that of its reference.
+
+    Some exports write the node of the response as that of the reference.
+
+    Raises
+    ------
+    StapeskitError
+        There are several, or it is at other lines.
+    """
+    names = ("rsp_node", "rsp_dir", "load_case_id", "ref_node", "ref_dir")
+    key = [abs(one[name]) for name in names]
+    keys = [[abs(other[name]) for name in names] for other in others]
+    own = [other for other, its in zip(others, keys, strict=True) if its[:3] == key[:3]]
+    found = [other for other, its in zip(others, keys, strict=True) if its == key] or own
+    lines = [other["x"] for other in found]
+    if len(found) > 1 or not all(len(x) == len(one["x"]) and np.allclose(x, one["x"], 1e-5) for x in lines):
+        counts = " and ".join(f"{len(x)}" for x in lines)
+        got, want = (
+            f"{len(found)} of {counts} lines from {lines[0][0]:g} Hz",
+            "one, at the lines of its response",
+        )
+        raise StapeskitError.of("the coherence", want, got, where, "Export both again")
+    return np.real(found[0]["data"]).astype(float) if found else None
 
 
 def _nodes(
@@ -160,13 +184,14 @@ def _nodes(
 ) -> dict[int, tuple[Array, Array]]:
     """Return positions (3,), in the file's unit, and axes of measurement in rows of the nodes that are used.
 
-    Dataset 15 gives coordinates in the node's definition system, dataset 2411 in the global one. Where a file
-    describes no system, those of its nodes are taken for the global one, with a notice.
+    Dataset 15 gives coordinates in the node's definition system. Dataset 2411 gives them in the global one,
+    but programs differ: an export system that turns or shifts is refused. Where a file describes no system,
+    those of its nodes are taken for the global one, with a notice.
     """
     systems: dict[int, tuple[Array, Array] | None] = {0: _GLOBAL}
     for one in sets:
         systems |= _systems(one) if one["type"] in (18, 2420) else {}
-    nodes, unknown = dict[int, tuple[Array, Array]](), set[int]()
+    nodes, unknown, moved = dict[int, tuple[Array, Array]](), set[int](), set[int]()
     for one in sets:
         if one["type"] not in (15, 2411):
             continue
@@ -176,6 +201,9 @@ def _nodes(
                 continue
             pair = [int(defined) if one["type"] == 15 else 0, int(measured)]
             unknown |= {label for label in pair if systems.get(label) is None}
+            turn, origin = systems.get(int(defined)) or _GLOBAL
+            if one["type"] == 2411 and not (np.array_equal(turn, np.eye(3)) and not np.any(origin)):
+                moved.add(int(defined))
             (turn, origin), (axes, _) = (systems.get(label) or _GLOBAL for label in pair)
             place = np.array(xyz) @ turn + origin
             known, _ = nodes.setdefault(int(node), (place, axes))
@@ -184,6 +212,13 @@ def _nodes(
                 where = Place(file, "dataset", (one["place"],))
                 faults.append(Fault(thing, "one", got, where, "Remove the wrong one"))
     listed = ", ".join(map(str, sorted(unknown)))
+    if moved:
+        thing, got = (
+            f"the nodes of dataset 2411 in system {list_some(map(str, sorted(moved)))}",
+            "a system that turns or shifts",
+        )
+        step = "Export the geometry in global cartesian coordinates"
+        faults.append(Fault(thing, "in the global system", got, file, step))
     if unknown and len(systems) > 1:
         want = "cartesian, right-handed and described in the global one, in dataset 18 or 2420"
         step = "Export the geometry in global cartesian coordinates"
@@ -224,7 +259,7 @@ def _row(
     one: Dataset,
     nodes: Mapping[int, tuple[Array, Array]],
     factor: float,
-    coherence: Dataset | None,
+    coherences: Sequence[Dataset],
     file: str,
 ) -> Row:
     """Return a function as a row, with its coherence; SI is the number over the factor."""
@@ -238,18 +273,14 @@ def _row(
     node, code, name = int(one["rsp_node"]), int(one["rsp_dir"]), str(one.get("rsp_ent_name", "")).strip()
     position, axes = nodes.get(node, (unknown_vector(), np.eye(3)))
     where = Place(file, "dataset", (one["place"],))
-    gamma = np.real(coherence["data"]).astype(float) if coherence is not None and response else None
-    if gamma is not None and len(gamma) != len(one["data"]):
-        want = "of as many lines as its response"
-        raise StapeskitError.of("the coherence", want, len(gamma), where, "Export both again")
     return Row(
         name if node == 0 and not is_none(name) else str(node),
-        one["x"].astype(float),
+        one["x"].astype(float) * HERTZ[(_label(one, "abscissa") or "Hz").lower()],
         one["data"],
         unit or label,
         position_m=position / factor,
         direction=axes[abs(code) - 1] * np.sign(code) if code else unknown_vector(),
-        coherence=gamma,
+        coherence=_coherence(one, coherences, where) if response else None,
         where=where,
     )
 
@@ -268,6 +299,36 @@ def _excitation_faults(functions: Sequence[Dataset], file: str) -> list[Fault]:
     got = list_some(sorted(excitations), 6)
     several = len(excitations) > 1
     return [Fault("the functions", "of one excitation", got, file, _ONE_EXCITATION)] if several else []
+
+
+def _direction_faults(functions: Sequence[Dataset], file: str, notices: list[Notice]) -> list[Fault]:
+    """Refuse functions of one direction in record 6 and several in their texts; note other differences.
+
+    Some programs number channels and write +z for all of them.
+    """
+    texts = [_TEXT_AXIS.search(f"{one.get('id1', '')} {one.get('id2', '')}") for one in functions]
+    named = [
+        (one, match[0])
+        for one, match in zip(functions, texts, strict=True)
+        if match and one["rsp_dir"] and not _is_direction(match, int(one["rsp_dir"]))
+    ]
+    if not named:
+        return []
+    got = list_some(
+        dict.fromkeys(f"{text} where record 6 has {one['rsp_dir']:+.0f}" for one, text in named), 3
+    )
+    if len({one["rsp_dir"] for one in functions}) == 1 and len({match[0] for match in texts if match}) > 1:
+        where = Place(file, "dataset", tuple(one["place"] for one, _ in named))
+        want = "those of record 6 (1, 2, 3 for x, y, z)"
+        return [Fault("the directions in the texts", want, got, where, _ONE_EXCITATION)]
+    text = f"texts of {file} name other directions: {got}. Record 6 was taken."
+    notices.append(Notice("axes_assumed", text))
+    return []
+
+
+def _is_direction(text: re.Match[str], code: int) -> bool:
+    """Return whether a direction in words is that of a code, as far as it has a sign."""
+    return "XYZ".index(text[2]) + 1 == abs(code) and text[1] in ("", "+" if code > 0 else "-")
 
 
 def _notices(functions: Sequence[Dataset], left_out: str, stated: bool, file: str) -> list[Notice]:

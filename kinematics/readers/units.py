@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12, "in": 0.0254, "ft": 0.3048}
 STANDARD_GRAVITY = 9.80665
@@ -16,13 +16,16 @@ PHASES = {
     **dict.fromkeys(("rad", "radian", "radians"), 1.0),
 }
 SI_UNITS = ("m", "m/s", "m/s2")
-MOTIONS = "m, mm, um, nm; m/s, mm/s, um/s; m/s2, mm/s2, g [per unit of a reference]"
+MOTIONS = "m, mm, um, nm; m/s, mm/s, um/s; m/s2, mm/s2, g [per N, V, Pa, A or unit of motion] [peak or rms]"
 
 _RATES = {"s": 1, "sec": 1, "s2": 2, "sec2": 2}
 _MARKS = (("µ", "u"), ("μ", "u"), ("²", "2"), ("¹", "1"), ("⁻", "-"), ("^", ""), ("**", ""), ("·", "*"))
 _DENSITY = re.compile(r"/[(]?(?:√|sqrt|rt)?[(]?Hz[)]?(?:0?\.5|[(]?1/2[)]?)?[)]?$", re.IGNORECASE)
 _PER_SECOND = re.compile(r"[*.]?s-([12])(?!\d)")  # as in m s-1
-_AMPLITUDES = {"pk": "peak", "peak": "peak", "rms": "rms"}
+_AMPLITUDE = re.compile(  # alone or in brackets; peak to peak is none of them
+    r"[\s_]*[\s_(\[]\s*((?:0-?)?(?:pk|peak)|0-p|(rms|eff))(?:\s*[)\]]|(?![\w-]))", re.IGNORECASE
+)
+_REFERENCE = re.compile(r"[pnumkM]?(?:N|V|Pa|A|W|bar|g|m(?:/s2?)?)|lbf|EU|(?:in|ft)(?:/s2?)?")
 
 
 @dataclass(frozen=True)
@@ -69,23 +72,19 @@ def motion_unit(label: str) -> MotionUnit | None:
     """Read a unit of motion; None when the label is no known one, or that of a density over frequency.
 
     What follows the unit of motion after a slash is the reference: ``m/s/V`` and ``(m/s)/V`` are responses
-    in m/s per volt. The words peak and rms may stand beside it.
+    in m/s per volt. The words peak and rms may be written behind it, also in brackets.
     """
-    words = label.replace("_", " ").split()
-    amplitude = next((_AMPLITUDES[word.lower()] for word in words if word.lower() in _AMPLITUDES), "")
-    text = plain(" ".join(word for word in words if word.lower() not in _AMPLITUDES))
+    found = _AMPLITUDE.search(label)
+    amplitude = "" if found is None else "rms" if found[2] else "peak"
+    text = plain(_AMPLITUDE.sub("", label).replace("_", ""))
     if _DENSITY.search(text):
         return None
-    if bracketed := re.fullmatch(r"\(([^()]+)\)(?:/(.+))?", text):
-        inner = motion_unit(bracketed[1])
-        if inner is None or inner.per:
-            return None
-        return replace(inner, per=(bracketed[2] or "").strip("()"), amplitude=amplitude)
+    if bracketed := re.fullmatch(r"\(([^()]+)\)(/.+)?", text):
+        text = bracketed[1] + (bracketed[2] or "")
     first, *rest = text.split("/")
-    if first.lower() in ("g", "gn", "g_n"):
-        return MotionUnit(2, STANDARD_GRAVITY, "/".join(rest), amplitude)
-    order = 0
+    order, scale = (2, STANDARD_GRAVITY) if first.lower() in ("g", "gn") else (0, LENGTHS.get(first, 0.0))
     while rest and rest[0].lower() in _RATES and order + _RATES[rest[0].lower()] <= 2:
         order += _RATES[rest.pop(0).lower()]
-    per = "/".join(rest).strip("()")
-    return MotionUnit(order, LENGTHS[first], per, amplitude) if first in LENGTHS else None
+    per = re.sub(r"\((.*)\)", r"\1", "/".join(rest))
+    known = scale > 0.0 and (not per or _REFERENCE.fullmatch(per))
+    return MotionUnit(order, scale, per, amplitude) if known else None

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -33,10 +34,12 @@ FREQUENCIES = ("frequency", "freq", "frequenz", "fréquence", "f")
 LOWEST_AUDIBLE_TOP_HZ = 100.0
 """A sweep that ends below is in kHz, where no unit is stated: hearing ends at 20 kHz."""
 
-_WORD = re.compile(r"(?:(?<![^\s(\[])[+-])?[^\W_]+")
+_MOST_RADIANS = 100.0  # 16 turns: phases that were unwrapped reach no further, degrees nearly always do
+_WORD = re.compile(r"(?:(?<![^\s(\[])[+-])?(?:\d+\.0+(?!\w)|[^\W_]+)")
+_OF_POINT = ("point", "pt", "punkt", "node")
 _FILLERS = (
-    "v", "d", "a", "vib", "vel", "velocity", "disp", "displacement", "acc", "acceleration",
-    "point", "pt", "punkt", "node", "axis", "channel", "of", "part", "frf", "fft", "h1", "spectrum",
+    *_OF_POINT, "v", "d", "a", "vib", "vel", "velocity", "disp", "displacement", "acc", "acceleration",
+    "axis", "channel", "of", "part", "frf", "fft", "h1", "spectrum",
 )  # fmt: skip
 _POINT = re.compile(r"(?:p|pt|point|punkt|node)(\d+)")
 _AXIS = re.compile(r"([+-]?)[vdau]?([xyz])")
@@ -74,7 +77,7 @@ def is_frequency(name: str) -> bool:
 def meaning(name: str) -> tuple[str, str, str] | None:
     """Return part, point and axis of a column's name; None where the part is missing or ambiguous."""
     part, axis, rest = "", "", []
-    for word in _WORD.findall(name):
+    for before, word in pairwise(["", *_WORD.findall(name)]):
         low = word.lower()
         known = next((key for key, words in PARTS.items() if low in words), "")
         turned = _AXIS.fullmatch(low)
@@ -84,7 +87,7 @@ def meaning(name: str) -> tuple[str, str, str] | None:
             part = known
         elif turned:
             axis = turned[1].replace("+", "") + turned[2]
-        elif low not in _FILLERS:
+        elif low not in _FILLERS or (len(low) == 1 and before.lower() in _OF_POINT):
             numbered = _POINT.fullmatch(low)
             rest.append(numbered[1] if numbered else word.lstrip("+-"))
     return (part, " ".join(rest), axis) if part else None
@@ -104,20 +107,25 @@ def rows_of(sheet: Sheet, freq_hz: Array) -> tuple[list[Row], list[str]]:
     Raises
     ------
     StapeskitError
-        No pair of real and imaginary part or magnitude and phase; one part alone; parts in two units; phases
-        without a unit that may be radians as well as degrees.
+        No pair of real and imaginary part or magnitude and phase; one part alone or twice; parts in two
+        units; negative magnitudes; phases without a unit that may be radians as well as degrees.
     """
     by_beam: dict[tuple[str, str], dict[str, int]] = {}
-    unknown = []
+    unknown, twice = list[str](), list[str]()
     for column, name in enumerate(sheet.names):
         meant = meaning(name)
-        if meant is None or meant[0] in by_beam.get(meant[1:], {}):
+        if meant is None:
             unknown.append(name)
+        elif meant[0] in by_beam.get(meant[1:], {}):
+            twice.append(name)
         else:
             by_beam.setdefault(meant[1:], {})[meant[0]] = column
     if not by_beam:
         want, step = "real and imaginary part, or magnitude and phase", "Export them of every point"
         raise sheet.refuse("the columns", want, ", ".join(sheet.names), step)
+    if twice:
+        step = "Keep one signal of one excitation, or name points and axes apart"
+        raise sheet.refuse("the parts of a beam", "there once", f"{list_some(twice, 6)} again", step)
     faults = _phase_faults(sheet, [parts["phase"] for parts in by_beam.values() if "phase" in parts])
     rows = []
     for (point, axis), parts in by_beam.items():
@@ -136,16 +144,24 @@ def _row(sheet: Sheet, point: str, axis: str, freq_hz: Array, parts: dict[str, i
         raise sheet.refuse(thing, want, "alone", "Export both, with points and axes named alike")
     one, other = (parts[name] for name in pair)
     first, second = sheet.numbers[..., one], sheet.numbers[..., other]
+    if pair[0] == "amp" and np.any(first < 0.0):
+        want, got, step = (
+            "linear, from 0 on",
+            f"{np.nanmin(first):g}",
+            "Export them on a linear scale, not in dB",
+        )
+        raise sheet.refuse("the magnitudes", want, got, step)
     unit, turn = sheet.units[one], PHASES.get((sheet.units[other] or "deg").lower())
     if pair[0] == "re" and unit != sheet.units[other]:
         raise sheet.refuse("real and imaginary part", "in one unit", f"{unit} and {sheet.units[other]}")
     if pair[0] == "amp" and turn is None:
         raise sheet.refuse("the unit of the phases", "deg or rad", sheet.units[other])
+    rms = re.search(r"\brms\b", sheet.field_of(("signal",)), re.IGNORECASE)
     return Row(
         point,
         freq_hz,
         from_parts(first, second) if pair[0] == "re" else from_polar(first, second, turn or 1.0),
-        unit,
+        f"{unit} rms" if rms else unit,
         direction=unknown_vector() if (direction := axis_vector(axis)) is None else direction,
         coherence=sheet.numbers[..., parts["coherence"]] if "coherence" in parts else None,
         where=sheet.where,
@@ -157,7 +173,7 @@ def _phase_faults(sheet: Sheet, phases: list[int]) -> list[Fault]:
     """Refuse phases without a unit that may be radians as well as degrees."""
     silent = [column for column in phases if not sheet.units[column]]
     largest = float(np.max(np.nan_to_num(np.abs(sheet.numbers[..., silent])), initial=0.0))
-    if not 0.0 < largest <= np.pi + 1e-3:
+    if not 0.0 < largest <= _MOST_RADIANS:
         return []
     got = f"none, with all phases within {largest:.4g}: degrees or radians"
     step = f'Write "{sheet.names[silent[0]]} [rad]" or "[deg]" in the header'

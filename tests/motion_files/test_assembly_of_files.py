@@ -36,8 +36,8 @@ def things(error):
 UNITS = {
     "m/s": (1, 1.0, ""), "[ um/s / V ]": (1, 1e-6, "V"), "(m/s^2)/N": (2, 1.0, "N"), "g": (2, 9.80665, ""),
     "mm": (0, 1e-3, ""), "m s-1": (1, 1.0, ""), "µm": (0, 1e-6, ""), "m/s/s": (2, 1.0, ""),
-    "m/s/m/s": (1, 1.0, "m/s"),
-    **dict.fromkeys(("dB", "V", "m/s/sqrt(Hz)", "rad/s", "", "(m/s)^2/Hz")),
+    "m/s/m/s": (1, 1.0, "m/s"), "(mm/s)/(mm/s)": (1, 1e-3, "mm/s"), "mm/s/uPa": (1, 1e-3, "uPa"),
+    **dict.fromkeys(("dB", "V", "m/s/sqrt(Hz)", "rad/s", "", "(m/s)^2/Hz", "m/s per V", "m/second", "m/min")),
 }  # fmt: skip
 
 
@@ -45,6 +45,20 @@ UNITS = {
 def test_units_of_motion(label):
     unit = motion_unit(label)
     assert (unit and (unit.order, unit.scale, unit.per)) == UNITS[label]
+
+
+AMPLITUDES = {
+    "mm/s (rms)": "rms", "m/s [rms]": "rms", "m/s_rms": "rms", "(m/s) eff": "rms", "m/s 0-pk": "peak",
+    "m/s (Peak)": "peak", "m/s": "", **dict.fromkeys(("mm/s p-p", "mm/s pk-pk", "m/s dB", "m/s wrms")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("label", AMPLITUDES)
+def test_peak_and_rms_beside_units(label):
+    """A word that is not known makes the unit unknown, not that of a response per this word."""
+    unit = motion_unit(label)
+    assert (unit and unit.amplitude) == AMPLITUDES[label]
+    assert unit is None or (unit.order, unit.per) == (1, "")
 
 
 def test_grids_that_differ_by_rounding_are_one():

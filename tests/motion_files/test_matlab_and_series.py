@@ -39,6 +39,13 @@ LAYOUTS = {
         "usd": {"YUnit": "m/s", "ResponseDOFs": {"Direction": "ptcPlusZTranslation"}},
     },
     "a title": {"x": FREQ_HZ, "y": Z, "usd": USD, "name": "scan 3"},
+    "kilohertz": {"x": FREQ_HZ / 1e3, "y": Z, "usd": {**USD, "XUnit": "kHz"}},
+    "one axis a point in words": {
+        "x": FREQ_HZ,
+        "y": Z,
+        "unit": "m/s",
+        "direction": np.array(["z", "+z", "Z"]),
+    },
     "named points": {"x": FREQ_HZ, "y": Z, "usd": USD, "names": np.array(["1", "2", "3"], dtype=object)},
 }
 
@@ -53,6 +60,27 @@ def test_layouts_by_their_names(name, tmp_path):
         assert np.all(recording.n_avg == 8.0)
     if "usd" in LAYOUTS[name]:
         assert np.allclose(recording.directions, [[0.0, 0.0, 1.0]] * 3)
+
+
+def test_names_of_points_keep_all_their_digits(tmp_path):
+    names = np.array([1000001.0, 1000002.0, 1000003.0])
+    assert read(tmp_path, {**LAYOUTS["one beam"], "points": names}).points == (
+        "1000001",
+        "1000002",
+        "1000003",
+    )
+
+
+def test_square_matrices_are_read_by_rows_and_named(tmp_path):
+    """Positions of three points may be written either way."""
+    (notice,) = read(tmp_path, {**LAYOUTS["one beam"], "xyz": PLACES_M}).notices
+    assert "xyz" in notice.text
+    assert read(tmp_path, LAYOUTS["one beam"]).notices == ()
+
+
+def test_directions_of_version_73(tmp_path):
+    v73(tmp_path / "b.mat", LAYOUTS["one beam"])
+    assert np.array_equal(read_file(tmp_path / "b.mat", FileFacts()).directions, [[0.0, 0.0, 1.0]] * 3)
 
 
 def test_versions_of_matlab_files(tmp_path):
@@ -78,6 +106,12 @@ def test_values_of_unknown_names_are_not_left_out_in_silence(tmp_path):
 
 MISTAKES = {
     "no unit": ({"x": FREQ_HZ, "y": Z}, "the unit of y"),
+    "angular frequencies": (
+        {"x": FREQ_HZ, "y": Z, "usd": {**USD, "XUnit": "rad/s"}},
+        "the unit of the frequencies (XUnit)",
+    ),
+    "a direction in other words": ({"x": FREQ_HZ, "y": Z, "unit": "m/s", "direction": "up"}, "direction"),
+    "peak to peak": ({"x": FREQ_HZ, "y": Z, "unit": "m/s", "amplitude": "p-p"}, "the unit of y"),
     "a power": ({"x": FREQ_HZ, "y": Z, "usd": {**USD, "PowerSignal": 1.0}}, "y"),
     "a magnitude": ({"x": FREQ_HZ, "y": np.abs(Z), "usd": USD}, "the variable y"),
     "nothing": ({"a": 1.0}, "a.mat"),

@@ -125,6 +125,45 @@ def test_coherence_belongs_to_its_response(tmp_path):
     assert np.allclose(recording.coherence[0], gamma)
 
 
+def test_coherence_at_other_lines_is_refused_and_that_of_another_reference_left_out(tmp_path):
+    response = function(FREQ_HZ, VALUE, per=FORCE, reference=(2, 3))
+    gamma = {"kind": COHERENCE, "form": 4, "quantity": 0, "unit": "NONE"}
+    for lines in (FREQ_HZ + 50.0, FREQ_HZ[::-1]):
+        (fault,) = faults(
+            tmp_path, units(), nodes_2411(PLACE), response,
+            function(lines, np.full(4, 0.9), reference=(2, 3), **gamma),
+        )  # fmt: skip
+        assert fault.thing == "the coherence"
+    others = [function(FREQ_HZ, np.full(4, 0.1 * node), reference=(node, 3), **gamma) for node in (2, 3)]
+    assert np.allclose(read(tmp_path, units(), nodes_2411(PLACE), response, *others).coherence, 0.2)
+
+
+def test_frequencies_are_in_the_unit_of_their_axis(tmp_path):
+    """Not 0.4 Hz for 0.4 kHz; angular frequencies are none."""
+    labels = [
+        function(freq, VALUE).replace(b"Hz ".ljust(20), unit.ljust(20))
+        for freq, unit in ((FREQ_HZ / 1e3, b"kHz"), (FREQ_HZ, b"rad/s"))
+    ]
+    assert np.allclose(read(tmp_path, units(), nodes_2411(PLACE), labels[0]).freq_hz, FREQ_HZ)
+    assert "over something else" in faults(tmp_path, units(), nodes_2411(PLACE), labels[1])[0].got
+
+
+def test_nodes_of_2411_in_a_system_that_turns_are_refused(tmp_path):
+    """Programs differ in whether they are in the part's axes or in their export system."""
+    nodes = nodes_2411(PLACE).replace(f"{1:10d}{0:10d}".encode(), f"{1:10d}{7:10d}".encode())
+    for turn, origin, good in (
+        (np.eye(3), [0, 0, 0], True),
+        ([[0, 1, 0], [-1, 0, 0], [0, 0, 1]], [1, 1, 1], False),
+    ):
+        parts = (units(), system_2420(7, turn, origin), nodes, function(FREQ_HZ, VALUE))
+        if good:
+            assert np.allclose(read(tmp_path, *parts).points_m[0], PLACE[1])
+        else:
+            assert [fault.thing for fault in faults(tmp_path, *parts)] == [
+                "the nodes of dataset 2411 in system 7"
+            ]
+
+
 def test_descending_frequencies_are_turned_round(tmp_path):
     recording = read(tmp_path, units(), nodes_2411(PLACE), function(FREQ_HZ[::-1], VALUE[::-1]))
     assert np.allclose(recording.freq_hz, FREQ_HZ)
@@ -203,12 +242,15 @@ def test_a_kind_of_fault_is_one_message(tmp_path):
 
 
 def test_directions_that_stand_in_the_text_alone_are_refused(tmp_path):
-    parts = [
-        function(FREQ_HZ, VALUE, node, 3, names=(f"Vib {axis}", "V")) for node in (1, 2) for axis in "XYZ"
-    ]
-    found = faults(tmp_path, units(), nodes_2411(PLACE), *parts)
-    assert len(found) == 1
-    assert "record 6" in found[0].next_step
+    """+z in record 6 of every function, three of a node or one of each node."""
+    nodes = nodes_2411({node: (0.1 * node, 0.0, 0.0) for node in (1, 2, 3)})
+    for functions in ([(1, axis) for axis in "XYZ"], list(enumerate("XYZ", 1))):
+        parts = [function(FREQ_HZ, VALUE, node, 3, names=(f"Vib {axis}", "V")) for node, axis in functions]
+        (fault,) = faults(tmp_path, units(), nodes, *parts)
+        assert "record 6" in fault.next_step
+    parts = [function(FREQ_HZ, VALUE, node, node, names=("Vib -Z", "V")) for node in (1, 3)]
+    codes = [notice.code for notice in read(tmp_path, units(), nodes, *parts).notices]
+    assert codes.count("axes_assumed") == 1
 
 
 def test_a_genuine_export_is_fitted_as_by_plain_least_squares(tmp_path):

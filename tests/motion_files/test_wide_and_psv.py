@@ -1,5 +1,7 @@
 """Wide tables and text exports of scanning vibrometers: names, units, decimal commas, and what is refused."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -36,6 +38,9 @@ NAMES = {
     "apex -y Phase": ("phase", "apex", "-y"),
     "Imag": ("im", "", ""),
     "P1 Coherence": ("coherence", "1", ""),
+    "Point A Vz Real": ("re", "A", "z"),
+    "1.0 x Re": ("re", "1.0", "x"),
+    "P1_z_im": ("im", "1", "z"),
     "comment": None,
     "x Real Imag": None,
 }
@@ -96,6 +101,66 @@ def test_separators_of_thousands_are_refused(tmp_path):
     found = faults(written(tmp_path, text))
     assert [fault.where.numbers for fault in found] == [(5,)]
     assert "thousands" in found[0].next_step
+
+
+THOUSANDS = {
+    "wide": "f [Hz];P1 x Re [m/s];P1 x Im [m/s]\n{}\n",
+    "tidy": "freq_hz;re_m_s;im_m_s;body;point;dir\n{}\n",
+}
+
+
+@pytest.mark.parametrize("mark", [".", ","])
+@pytest.mark.parametrize("name", THOUSANDS)
+def test_thousands_that_look_like_decimals_are_refused(name, mark, tmp_path):
+    """Without decimals elsewhere 1.050 behind 950 would be 1.05 Hz."""
+    rest = ";a;1;z" if name == "tidy" else ""
+    rows = [
+        f"{freq};1E-5;{k}E-5{rest}" for k, freq in enumerate(["900", "950", f"1{mark}000", f"1{mark}050"])
+    ]
+    for order in (rows, rows[::-1]):
+        (fault,) = faults(written(tmp_path, THOUSANDS[name].format("\n".join(order))))
+        assert fault.thing == "the frequencies"
+        assert "1050" in fault.next_step
+
+
+def test_frequencies_of_other_orders_are_none_of_thousands(tmp_path):
+    rows = ["900;1E-5;2E-5", "650;1E-5;2E-5", "1.5;1E-5;3E-5"]
+    recording = read_file(written(tmp_path, THOUSANDS["wide"].format("\n".join(rows))), FileFacts())
+    assert np.array_equal(recording.freq_hz, [1.5, 650.0, 900.0])
+
+
+PLAIN = "Frequency [Hz],1.0 x Re [m/s],1.0 x Im [m/s]\n400,0.1,0.2\n500,0.3,0.4\n"
+WRITINGS = {
+    "quotes": '"' + PLAIN.strip().replace(",", '","').replace("\n", '"\n"') + '"\n',
+    "decimal commas in quotes": re.sub(r"0\.(\d)", r'"0,\1"', PLAIN),
+    "comments": "# by hand\n" + PLAIN.replace("\n500", "\n# lost\n500") + "# end\n",
+    "a header as comment": "# " + PLAIN,
+    "empty rows at the end": PLAIN + ",,\n\n;\n",
+    "UTF-16": PLAIN.encode("utf-16"),
+    "byte order mark": b"\xef\xbb\xbf" + PLAIN.encode(),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRITINGS)
+def test_writings_of_tables(name, tmp_path):
+    recording = read_file(written(tmp_path, WRITINGS[name]), FileFacts())
+    assert recording.points == ("1",)
+    assert np.array_equal(recording.value, [[0.1 + 0.2j, 0.3 + 0.4j]])
+
+
+UNCLEAR = {
+    "two signals": ("Vx Re [m/s],Vx Im [m/s],Dx Re [m],Dx Im [m]", "1,2,3,4", "the parts of a beam"),
+    "negative magnitudes": ("P1 x Mag [m/s],P1 x Phase [deg]", "-60,120", "the magnitudes"),
+    "radians without end": ("P1 x Mag [m/s],P1 x Phase", "1,-9", "the unit of the phases"),
+    "peak to peak": ("P1 x Mag [mm/s p-p],P1 x Phase [deg]", "1,9", "the unit of P1 x Mag"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", UNCLEAR)
+def test_numbers_that_may_mean_something_else_are_refused(name, tmp_path):
+    head, row, thing = UNCLEAR[name]
+    path = written(tmp_path, f"Frequency [Hz],{head}\n400,{row}\n500,{row}\n")
+    assert [fault.thing for fault in faults(path)] == [thing]
 
 
 def test_cells_and_rows_at_fault_are_listed_with_their_lines(tmp_path):
@@ -161,8 +226,27 @@ def test_refusals_of_fastscans(name, tmp_path):
     assert thing in {fault.thing for fault in faults(written(tmp_path, b"\r\n".join(blocks), "a.txt"))}
 
 
-def test_values_mixed_between_points_are_reported(tmp_path):
-    path = written(tmp_path, fastscan(400, PLACES_M, VELOCITY[:, :, 0], treated="Yes"), "a.txt")
+@pytest.mark.parametrize(("number", "comma"), [(b"1,150", False), (b"1.150", True), (b"1.150,0", True)])
+def test_frequencies_with_marks_of_thousands_are_refused(number, comma, tmp_path):
+    """Against the decimals of the rows: the last line would be read as 1.15 Hz."""
+    block = fastscan(1150, PLACES_M, VELOCITY[:, :, 3], comma=comma).replace(b"1150 Hz", number + b" Hz")
+    (fault,) = faults(written(tmp_path, block, "a.txt"))
+    assert "thousands" in fault.expected
+
+
+def test_rms_of_the_signal_holds_for_its_columns(tmp_path):
+    block = point_block(1, VELOCITY[0, 0], PLACES_M[0], component="-Z").replace(
+        b"Velocity -", b"RMS Velocity -"
+    )
+    recording = read_file(written(tmp_path, block, "a.txt"), FileFacts())
+    assert np.allclose(recording.value[0], np.sqrt(2.0) * VELOCITY[0, 0], rtol=1e-11)
+    assert recording.amplitude_stated
+
+
+@pytest.mark.parametrize("words", [(b"Interpolated", b"Yes"), (b"Interpoliert", b"Ja")])
+def test_values_mixed_between_points_are_reported(words, tmp_path):
+    block = fastscan(400, PLACES_M, VELOCITY[:, :, 0]).replace(b"Interpolated:\tNo", b":\t".join(words))
+    path = written(tmp_path, block, "a.txt")
     treated = [notice.text for notice in read_file(path, FileFacts()).notices if notice.code == "file_read"]
     (text,) = treated
     assert "interpolated" in text
