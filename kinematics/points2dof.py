@@ -25,7 +25,7 @@ from kinematics.measurement import BodyChannels, Measurement
 from kinematics.motion_checks import check_determined, fit_notices, phase_notices, uncommon_lines
 from kinematics.options import MotionOptions
 from kinematics.place.errors import ErrorEstimate, agreement, body_starts, with_errors
-from kinematics.place.handedness import check_axes
+from kinematics.place.handedness import check_positions
 from kinematics.place.moved import SurfaceCheck, check_extent, check_surfaces, far_away
 from kinematics.place.placement import Placement, place
 from kinematics.place.shared_errors import correction_of, shared_errors
@@ -99,7 +99,7 @@ def measure_motion(
     progress("looking for faults")
     diagnoses = _search(fitted, options)
     found = fitted.placed.bodies
-    check_axes(diagnoses, placement.transform)
+    check_positions(fitted.placed, diagnoses)
     notices += points_of_other_bodies(fitted.placed, fitted.fits, diagnoses)
     notices += [
         notice for number, body in enumerate(found) for notice in fault_notices(body, diagnoses[number])

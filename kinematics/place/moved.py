@@ -96,8 +96,7 @@ def check_surfaces(
         checks.append(check)
         if check.p_value >= _UNLIKELY and check.rms_mm < MOST_DISTANCE_MM:
             continue
-        if check.rms_mm > _USUAL_SD_MM:
-            _refuse_other_axes(check, body, placement, mass, surface)
+        _refuse_other_axes(check, body, placement, mass, surface)
         if check.rms_mm > MOST_DISTANCE_MM:
             step = "Check fiducials, their frame and points; neither other axes nor other units explain it"
             if placement.registration is None:
@@ -177,6 +176,8 @@ def _refuse_other_axes(
 ) -> None:
     """Refuse points that other axes or another unit bring onto the surface.
 
+    Axes of points are those of the file, before --mirror.
+
     Raises
     ------
     StapeskitError
@@ -189,9 +190,11 @@ def _refuse_other_axes(
     if reference != "scan":
         from_reference = (mass.scan_from_plate if reference == "plate" else None) or mass.scan_from_footplate
     inside = from_reference.inverse().points(to_scan.points(points_mm))
+    to_file = body.file_from_here
     tried: dict[str, Array] = {}
     for words, change in {**axes_changes(), **UNITS}.items():
-        tried[f"the coordinates of the points with {words}"] = to_scan.points(points_mm @ change.T)
+        moved_mm = points_mm @ (to_file.T @ change @ to_file).T
+        tried[f"the coordinates of the points with {words}"] = to_scan.points(moved_mm)
         if abs(np.linalg.det(change) - 1.0) < 1e-9 or placement.registration is None:
             tried[f"the coordinates in frame {reference} with {words}"] = from_reference.points(
                 inside @ change.T
