@@ -112,8 +112,8 @@ def accused(recording: Recording, stated: bool) -> dict[int, str] | None:
         zeros = {int(channel): "zeros" for channel in np.flatnonzero(np.all(body.value[0] == 0.0, axis=1))}
         body.value[:, list(zeros)] = np.nan
         beams = beam_set("stapes", body.arms_m, body.directions, dof)
-        fit, known, _ = fit_with_noise(placed, 0, body, beams)
-        found = diagnose(body, [fit], placed.freq_hz, known)
+        fit, _ = fit_with_noise(placed, 0, body, beams)
+        found = diagnose(body, [fit], placed.freq_hz)
     except StapeskitError:
         return None
     verdicts = channel_verdicts("1", body, found, fit.channel_rms_m, fit.solution.weight, zeros)

@@ -91,6 +91,11 @@ class BodyChannels:
             raise StapeskitError.of(f"the beam directions of body {self.body}", "unit vectors", "others")
 
     @property
+    def is_noise_stated(self) -> bool:
+        """Whether ``sd`` is known in absolute size."""
+        return self.sd is not None and not self.relative
+
+    @property
     def arms_m(self) -> Array:
         """Positions (c, 3), m.
 

@@ -150,7 +150,6 @@ class _Fitted:
 
     placed: Measurement
     fits: dict[tuple[int, int], LineFit]
-    stated: dict[tuple[int, int], bool]
     notices: tuple[Notice, ...]
 
 
@@ -163,13 +162,12 @@ def _fit(placed: Measurement, options: MotionOptions) -> _Fitted:
             beams.append(beam_set(body.body, body.arms_m, body.directions, options.dof))
     raise_all(faults)
     fits: dict[tuple[int, int], LineFit] = {}
-    stated: dict[tuple[int, int], bool] = {}
     notices: list[Notice] = []
     for run, number in product(range(len(placed.runs)), range(len(placed.bodies))):
         found = fit_with_noise(placed, run, placed.bodies[number], beams[number], options.robust)
-        fits[run, number], stated[run, number] = found[:2]
-        notices += found[2]
-    return _Fitted(placed, fits, stated, unique(notices))
+        fits[run, number] = found[0]
+        notices += found[1]
+    return _Fitted(placed, fits, unique(notices))
 
 
 def _search(fitted: _Fitted, options: MotionOptions) -> dict[int, Diagnosis]:
@@ -185,7 +183,6 @@ def _search(fitted: _Fitted, options: MotionOptions) -> dict[int, Diagnosis]:
             body,
             [fitted.fits[run, number] for run in runs],
             placed.freq_hz,
-            all(fitted.stated[run, number] for run in runs),
             replace(lasers, position_m=usual),
             placed.line_spread,
         )

@@ -83,7 +83,7 @@ def pool_repeats(measurement: Measurement) -> tuple[Measurement, tuple[RepeatedR
 
 def _stated(measurement: Measurement) -> bool:
     """Return whether the noise of all bodies is stated, and not only relative."""
-    return all(body.sd is not None and not body.relative for body in measurement.bodies)
+    return all(body.is_noise_stated for body in measurement.bodies)
 
 
 def _weights(body: BodyChannels, own: Sequence[int]) -> Array:
@@ -183,7 +183,7 @@ def _pooled(body: BodyChannels, own: Sequence[int], found: RepeatedRun) -> tuple
     value, weight = body.value[list(own)] / found.gains[:, None, None], _weights(body, own)
     mean, total = _mean(value, weight), weight.sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        if body.sd is not None and not body.relative:
+        if body.is_noise_stated:
             widened = max(found.scatter, 1.0) if np.isfinite(found.scatter) else 1.0
             return mean, np.where(total > 0.0, widened / np.sqrt(total), np.nan)
         square = np.sum(weight * np.abs(np.nan_to_num(value - mean)) ** 2, axis=0)

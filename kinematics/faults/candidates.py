@@ -148,7 +148,7 @@ def _louder(now: Round) -> list[Finding]:
         # of several channels that are louder alike, the sum of their log probabilities
         log_p = float(np.sum(now.channel_noise[own]))
         evidence = -log_p - 0.5 * float(np.log(now.packed.values))
-        if now.stated:
+        if not now.levels.spread.any():
             fall = float(np.sum(energy[own])) * (1.0 - 1.0 / ratio)
             evidence = now.evidence(fall, 1) - 0.5 * float(np.sum(freedom[own])) * float(np.log(ratio))
         size = np.array([np.sqrt(ratio)])

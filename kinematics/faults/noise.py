@@ -1,6 +1,6 @@
-"""The noise that a file does not state: of groups of lines, of channels, and in proportion to amplitude.
+"""Noise that a file does not state, next to faults: its level, and noise in proportion to amplitude.
 
-Shapes: c channels, G groups, N lines of all runs, r motions.
+Shapes: c channels, N lines of all runs, r motions.
 """
 
 from __future__ import annotations
@@ -16,49 +16,10 @@ from kinematics.joint.estimate import Estimate, State
 from kinematics.joint.pack import Readings
 from stapeskit.arrays import Array, ComplexArray
 
-_REFLECTION = 0.25  # spread of noise between points, in natural logarithms: reflection and focus differ
-_QUARTILES = 1.349  # distance of the quartiles of a normal distribution, in standard deviations
 _LEAST_LEVEL_DOF = 200.0  # of a noise level apart from the motion: known to 5 %
 _SHARES = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 33)])  # of the amplitude, over the constant part
 _LEAST_GAIN = 3.0  # log likelihood of the middle channel: e^3 in each of half the channels
 _LEAST_LINES = 4  # for each motion
-
-
-def group_levels(state: State) -> Array:
-    """Return the noise of each group of lines relative to the assumed one, (G,), smoothed by a parabola."""
-    energy, freedom = (part.sum(axis=1) for part in state.noise_energy)
-    some = freedom > 4.0
-    if np.sum(freedom) < _LEAST_LEVEL_DOF or np.count_nonzero(some) < 4:
-        whole = np.sum(energy) / max(np.sum(freedom), 1.0) if np.sum(freedom) > 0 else 1.0
-        return np.full(len(energy), np.sqrt(max(whole, 1e-300)))
-    logs = np.log(np.maximum(energy[some], 1e-300) / freedom[some]) + 1.0 / freedom[some]
-    base = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, len(energy)), 2)
-    root = np.sqrt(freedom[some])
-    course = np.linalg.lstsq(base[some] * root[:, None], logs * root, rcond=None)[0]
-    return np.asarray(np.exp(0.5 * base @ course))
-
-
-def channel_levels(energy: Array, freedom: Array) -> tuple[Array, float]:
-    """Return the noise of channels over the usual one, (c,), and the standard deviation of its logarithm.
-
-    Notes
-    -----
-    Levels are shrunk towards the middle one (Efron and Morris 1975, doi:10.1080/01621459.1975.10479864) by
-    the scatter of the middle half of channels, which a faulty one does not move, and which is at least that
-    of reflecting surfaces.
-    """
-    some = freedom > 8.0
-    levels = np.ones(len(freedom))
-    if np.count_nonzero(some) < 2:
-        return levels, _REFLECTION
-    logs = 0.5 * np.log(np.maximum(energy[some], 1e-300) / freedom[some])
-    logs -= np.median(logs)
-    chance = 0.5 / freedom[some]
-    width = float(np.diff(np.quantile(logs, [0.25, 0.75]))[0]) / _QUARTILES
-    spread = max(float(np.sqrt(max(width**2 - float(np.median(chance)), 0.0))), _REFLECTION)
-    shrunk = logs * spread**2 / (spread**2 + chance)
-    levels[some] = np.exp(shrunk)
-    return levels, spread
 
 
 def unknown_noise(estimate: Estimate, tests: Sequence[Test]) -> Noise:

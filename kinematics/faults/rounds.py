@@ -11,10 +11,11 @@ from functools import cached_property
 import numpy as np
 
 from kinematics.faults.kinds import SHARE, places
-from kinematics.faults.noise import channel_levels, group_levels, unknown_noise
+from kinematics.faults.noise import unknown_noise
 from kinematics.faults.scores import Noise, Test, score_tests
 from kinematics.joint.estimate import Estimate, State, joint
 from kinematics.joint.expected import Layout, Priors, expected_errors
+from kinematics.joint.noise import ChannelLevels, channel_levels, pooled_levels
 from kinematics.joint.pack import Packed, Readings, pack
 from kinematics.joint.tangents import Parameters
 from stapeskit.arrays import Array
@@ -26,16 +27,13 @@ ALARM_SHARES = (0.6, 0.25, 0.1)
 that contain each other are weighted as if each were alone and the owners independent (`SHARE`), which makes
 1.1 times as many alarms (2 000 simulated files); the sum is 1.0."""
 _LEVEL_ROUNDS = 2  # of the noise of channels: wrong weights put noise into the columns that hold the motion
+_STATED = 1e-4  # sd of a logarithm that is as good as none
 _LEAST_FREEDOM = 8.0  # of a channel: fewer say nothing of its noise
 
 
 @dataclass(frozen=True)
 class Round:
-    """The readings under the faults accepted so far, and the tests for further faults.
-
-    Where noise is not stated, ``levels`` (c,) are that of each channel over the usual one, as assumed, and
-    ``spread`` is the standard deviation of their logarithms.
-    """
+    """The readings under the faults accepted so far, and the tests for further faults."""
 
     readings: Readings
     layout: Layout
@@ -43,10 +41,8 @@ class Round:
     expected: Parameters
     estimate: Estimate
     noise: Noise
-    stated: bool
     tests: tuple[Test, ...]
-    levels: Array
-    spread: float
+    levels: ChannelLevels
 
     @property
     def state(self) -> State:
@@ -63,9 +59,9 @@ class Round:
         """Logarithm of the p-value of each test alone, (tests,), by the noise that its channels show."""
         statistic = np.array([test.statistic for test in self.tests])
         freedom = np.array([test.freedom for test in self.tests])
-        if self.stated:
+        if not self.levels.spread.any():
             return self.noise.log_tail(statistic, freedom)
-        own = self.state.own_noise[1] + 0.5 / self.spread**2
+        own = self.state.own_noise[1] + 0.5 / np.maximum(self.levels.spread, _STATED) ** 2
         known = {test.place: own[list(test.place.channels)].sum() for test in self.tests}
         return self.noise.log_tail(statistic, freedom, np.array([known[test.place] for test in self.tests]))
 
@@ -80,7 +76,7 @@ class Round:
     def loudness(self) -> Array:
         """Variance of each channel's noise over the stated or usual one, (c,); 1 where unknown."""
         energy, freedom = self.state.channel_energy
-        ratio = energy * self.levels**2 / np.maximum(freedom, 1.0) / self.noise.level
+        ratio = energy * self.levels.apart**2 / np.maximum(freedom, 1.0) / self.noise.level
         return np.where(freedom > _LEAST_FREEDOM, ratio, 1.0)
 
     @cached_property
@@ -90,10 +86,10 @@ class Round:
 
         _, freedom = self.state.channel_energy
         freedom = np.maximum(freedom, 1.0)
-        if self.stated:
+        if not self.levels.spread.any():
             tail = self.noise.log_tail(self.loudness * self.noise.level * freedom, freedom)
         else:
-            width = np.sqrt(self.spread**2 + 0.5 / freedom)
+            width = np.sqrt(self.levels.spread**2 + 0.5 / freedom)
             tail = log_ndtr(-0.5 * np.log(np.maximum(self.loudness, 1e-300)) / width)
         return np.where(freedom > _LEAST_FREEDOM, tail, 0.0)
 
@@ -117,7 +113,7 @@ class Round:
     @cached_property
     def log_whole(self) -> float:
         """Logarithm of the probability of the sum of all squares; 0 where no noise is known apart from it."""
-        if self.stated:
+        if self.readings.known is not None:
             return float(self.noise.log_tail(*self._whole))
         if not self.packed.turned:
             return 0.0
@@ -147,22 +143,22 @@ class Round:
         return bool(np.all(smallest > np.log(ALARM * np.array(ALARM_SHARES))))
 
 
-def null_fit(readings: Readings, layout: Layout, priors: Priors, stated: bool) -> Round:
+def null_fit(readings: Readings, layout: Layout, priors: Priors) -> Round:
     """Fit motion and expected errors, find the level of the noise, and test everything."""
+    stated, count = readings.known is not None, len(layout.points)
     packed = pack(readings)
     live = packed.live.tolist()
     expected = expected_errors(layout, live, priors)
     estimate = joint(packed, expected)
-    levels, spread = np.ones(len(layout.points)), 0.0
-    if not stated:
-        for _ in range(_LEVEL_ROUNDS):
-            energy, freedom = estimate.state.own_noise
-            levels, spread = channel_levels(energy * levels**2, freedom)
-            packed = pack(replace(readings, noise_factor=readings.noise_factor * levels))
-            estimate = joint(packed, expected, estimate.values)
-        if packed.turned:
-            packed = packed.scaled(group_levels(estimate.state))
-            estimate = joint(packed, expected, estimate.values)
+    levels = ChannelLevels(np.ones(count), np.ones(count), np.zeros(count))
+    for _ in range(_LEVEL_ROUNDS if readings.known is None or readings.known.any() else 0):
+        levels = channel_levels(estimate.state, layout.laser, readings.known, levels)
+        packed = pack(replace(readings, noise_factor=readings.noise_factor * levels.level))
+        estimate = joint(packed, expected, estimate.values)
+    if not stated and packed.turned:
+        energy, freedom = (part.sum(axis=1) for part in estimate.state.noise_energy)
+        packed = packed.scaled(np.maximum(pooled_levels(energy, freedom), 1e-150))
+        estimate = joint(packed, expected, estimate.values)
     tests = tuple(score_tests(estimate.state, expected, places(layout, live)))
     noise = Noise() if stated else unknown_noise(estimate, tests)
-    return Round(readings, layout, packed, expected, estimate, noise, stated, tests, levels, spread)
+    return Round(readings, layout, packed, expected, estimate, noise, tests, levels)

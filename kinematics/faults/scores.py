@@ -56,7 +56,7 @@ class Noise:
 
         statistic = np.maximum(np.asarray(statistic) / self.level, 1e-300)
         freedom = np.maximum(np.asarray(freedom), 1e-9)
-        if np.isfinite(self.freedom):
+        if known is not None or np.isfinite(self.freedom):
             known = self.freedom if known is None else known
             tail = fdtrc(freedom, known, statistic / freedom)
             far = -0.5 * known * np.log1p(statistic / known)

@@ -20,9 +20,11 @@ from kinematics.faults.noise import amplitude_noise
 from kinematics.faults.rounds import Round, null_fit
 from kinematics.faults.scores import pattern_gain
 from kinematics.fit.lasers import laser_numbers
+from kinematics.fit.noise import assumed_sd
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.joint.estimate import State
 from kinematics.joint.expected import Layout, Priors
+from kinematics.joint.noise import digits_spread
 from kinematics.joint.pack import Readings
 from kinematics.measurement import BodyChannels
 from stapeskit.arrays import Array
@@ -65,7 +67,6 @@ def diagnose(
     body: BodyChannels,
     fits: Sequence[LineFit],
     freq_hz: Array,
-    stated: bool,
     priors: Priors | None = None,
     line_spread: float = 1.0,
 ) -> Diagnosis:
@@ -78,8 +79,6 @@ def diagnose(
     fits : sequence of LineFit, (r,)
         Of its runs, with their noise.
     freq_hz : ndarray, (L,)
-    stated : bool
-        Whether the noise is stated in absolute size.
     priors : Priors, optional
         Errors that are expected; those of data sheets unless given. Stated errors of positions are added.
     line_spread : float
@@ -89,28 +88,29 @@ def diagnose(
     if not priors.position_m.size:
         priors = replace(priors, position_m=np.nan_to_num(body.position_sd_m))
     layout = Layout(body.points, laser_numbers(body.directions))
-    sd = fits[0].sd[None] if len(fits) == 1 else np.stack([fit.sd for fit in fits])
-    if line_spread > 1.0:
-        sd = sd * np.sqrt(line_spread)
-    if not stated:  # in the proportions of the channels; its course over lines is found anew, without faults
+    assumed = [assumed_sd(body, run) for run in range(len(fits))]
+    sd = (assumed[0][None] if len(fits) == 1 else np.stack(assumed)) * np.sqrt(max(line_spread, 1.0))
+    known = digits_spread(body.sd) if body.sd is not None and body.is_noise_stated else None
+    if not body.is_noise_stated:  # of channels and over lines it is found anew, without faults
         sd = sd * np.median([np.median(fit.factor) for fit in fits])
     readings = Readings.of(body.value, sd, freq_hz, body.arms_m, body.directions)
-    first = null_fit(readings, layout, priors, stated)
+    readings = replace(readings, known=known)
+    first = null_fit(readings, layout, priors)
     read = int(np.count_nonzero(np.any(np.isfinite(readings.value), axis=1)))
     enough = read > max(len(fit.beams.dof) for fit in fits) and readings.value.shape[1] > 1
     nothing = Diagnosis((), np.zeros(len(body.points)), 1.0, first, first)
     if not enough or all(fit.solution.is_rounding(_EXACT) for fit in fits):
         return nothing
-    level = _noise_level(first) if stated else 1.0
+    level = _noise_level(first) if body.is_noise_stated else 1.0
     if level != 1.0:
-        first = null_fit(readings, layout, priors, False)
-    if not first.clean():
-        grows = None if first.clean() else amplitude_noise(readings, first.state)
-        if grows is not None:
-            first = null_fit(grows, layout, priors, False)
+        readings = replace(readings, known=None)
+        first = null_fit(readings, layout, priors)
+    grows = None if first.clean() else amplitude_noise(readings, first.state)
+    if grows is not None:
+        first = null_fit(replace(grows, known=None), layout, priors)
     found, last = _search(first, priors)
     least = min((finding.log_p for finding in found), default=0.0)
-    if not stated and least >= LEAST_LOG_P and _has_computed_axes(body):
+    if not body.is_noise_stated and least >= LEAST_LOG_P and _has_computed_axes(body):
         found, last = [], first
     chances = first.channel_log_p()
     sound = np.setdiff1d(last.live, [channel for one in found for channel in one.channels])
@@ -135,11 +135,13 @@ def _has_computed_axes(body: BodyChannels) -> bool:
 def _noise_level(now: Round) -> float:
     """Return the noise over the stated one where all channels are louder or quieter alike, else 1."""
     energy, freedom = (part.sum(axis=0) for part in now.state.noise_energy)
+    energy = energy * now.levels.level**2
     some = freedom > 8.0
     if np.count_nonzero(some) < 3:
         return 1.0
     middle = float(np.median(energy[some] / freedom[some]))
-    spread = 1.25 * np.sqrt(2.0 / np.median(freedom[some]) / np.count_nonzero(some))
+    chance = float(np.median(2.0 / freedom[some] + (2.0 * now.levels.spread[some]) ** 2))
+    spread = 1.25 * np.sqrt(chance / np.count_nonzero(some))
     if abs(np.log(middle)) < 5.0 * spread or pattern_gain(now.state, middle) > 0.0:
         return 1.0
     return float(np.sqrt(middle))
@@ -161,7 +163,7 @@ def _search(first: Round, priors: Priors) -> tuple[list[Finding], Round]:
         readings = _believed(now, candidates[0])
         if np.count_nonzero(np.isfinite(readings.noise_factor)) < _LEAST_CHANNELS:
             break
-        now = null_fit(readings, now.layout, priors, now.stated)
+        now = null_fit(readings, now.layout, priors)
     if len(found) > 1:
         others = _disagreeing(first, priors)
         if others and others[1].clean() and (not now.clean() or _numbers(others[0]) < _numbers(found)):
@@ -217,7 +219,7 @@ def _disagreeing(first: Round, priors: Priors) -> tuple[list[Finding], Round] | 
     if not 0 < 2 * len(off) < len(points) or left < _LEAST_CHANNELS:
         return None
     sound = first.readings.louder([channel for point in off for channel in points[point]])
-    if not null_fit(sound, first.layout, priors, first.stated).clean():
+    if not null_fit(sound, first.layout, priors).clean():
         return None
     found: list[Finding] = []
     now = first
@@ -225,14 +227,14 @@ def _disagreeing(first: Round, priors: Priors) -> tuple[list[Finding], Round] | 
         own = points[point]
         factor = sound.noise_factor.copy()
         factor[own] = first.readings.noise_factor[own]
-        alone = null_fit(replace(sound, noise_factor=factor), first.layout, priors, first.stated)
+        alone = null_fit(replace(sound, noise_factor=factor), first.layout, priors)
         if not alone.clean():
             inside = [one for one in fit_candidates(alone) if set(one.channels) <= set(own)]
             if not inside:
                 return None
             found.append(inside[0])
             now = replace(now, readings=_believed(now, inside[0]))
-    return found, null_fit(now.readings, first.layout, priors, first.stated)
+    return found, null_fit(now.readings, first.layout, priors)
 
 
 def _bends(found: Sequence[Finding], first: Round, last: Round) -> bool:

@@ -45,6 +45,9 @@ class Readings:
         Positions about the centroid; ``factor`` is (1, c), or (N, c) with a delay or drift.
     noise_factor : ndarray, (c,)
         What ``sd`` is multiplied with; infinite for channels that are left out.
+    known : ndarray, (c,), or None
+        Standard deviation of the logarithm of the stated ``sd``, as few digits leave it; None where ``sd`` is
+        not stated in absolute size.
     """
 
     value: ComplexArray
@@ -54,6 +57,7 @@ class Readings:
     run: NDArray[np.intp]
     geometry: Geometry
     noise_factor: Array
+    known: Array | None = None
 
     @classmethod
     def of(

@@ -47,11 +47,8 @@ def as_measurement(recording: Recording, stated=True) -> Measurement:
 
 
 def fitted(measurement: Measurement, dof=DOF_NAMES, robust="none"):
-    """Return body, fits of its runs, and whether the noise is stated."""
+    """Return a body and the fits of its runs."""
     body = measurement.bodies[0]
     beams = beam_set(body.body, body.arms_m, body.directions, dof)
-    fits, known, _ = zip(
-        *(fit_with_noise(measurement, run, body, beams, robust) for run in range(len(measurement.runs))),
-        strict=True,
-    )
-    return body, list(fits), known[0]
+    runs = range(len(measurement.runs))
+    return body, [fit_with_noise(measurement, run, body, beams, robust)[0] for run in runs]

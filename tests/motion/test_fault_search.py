@@ -23,8 +23,8 @@ def diagnosed(recording, stated=True):
     """Return body, fits and diagnosis of a recording."""
     measurement = as_measurement(recording, stated)
     dof = DOF_NAMES if recording.laser.max() else ("y", "alpha", "gamma")
-    body, fits, known = fitted(measurement, dof)
-    return body, fits, diagnose(body, fits, recording.freq_hz, known)
+    body, fits = fitted(measurement, dof)
+    return body, fits, diagnose(body, fits, recording.freq_hz)
 
 
 def verdicts(found):
@@ -180,7 +180,7 @@ def test_a_corrected_laser_agrees_with_the_others():
     fixed = corrected(body, found, recording.freq_hz)
     assert len(fixed.errors) == len(fixed.covariance) == 1
     measurement = replace(as_measurement(recording), bodies=(fixed.body,))
-    _, (after,), _ = fitted(measurement)
+    _, (after,) = fitted(measurement)
     freedom = np.sum(after.n_dof)
     assert np.sum(after.chi2) < freedom + 5.0 * np.sqrt(2.0 * freedom)
     wrong = sorted(recording.culprits)
@@ -234,3 +234,21 @@ def test_noise_smaller_than_stated_everywhere_is_said():
     found = diagnosed(replace(recording, sd_m_s=recording.sd_m_s * 3.0))[2]
     assert found.findings == ()
     assert found.noise_level == pytest.approx(1 / 3, rel=0.05)
+
+
+def rounded(recording, digits):
+    """Return a recording whose stated sd have so many significant digits."""
+    sd = recording.sd_m_s
+    unit = 10.0 ** (np.floor(np.log10(sd)) - digits + 1)
+    return replace(recording, sd_m_s=np.round(sd / unit) * unit)
+
+
+@pytest.mark.parametrize(("digits", "lines"), [(1, 40), (1, 300), (2, 1000)])
+def test_sd_of_few_digits_make_no_channel_loud_and_no_body_flexible(digits, lines):
+    given = {"points": 7, "lines": lines, "noise_spread": (0.6, 1.6)}
+    alarms = [verdicts(diagnosed(rounded(recorded(seed, **given), digits))[2]) for seed in range(8)]
+    assert sum(map(bool, alarms)) <= 1
+    faulty = rounded(recorded(3, faults=[{"kind": "noise"}], **given), digits)
+    assert verdicts(diagnosed(faulty)[2]) == dict(faulty.culprits)
+    faulty = rounded(recorded(4, faults=[{"kind": "gain"}], **given), digits)
+    assert verdicts(diagnosed(faulty)[2]) == dict(faulty.culprits)

@@ -64,10 +64,10 @@ def test_beams_of_a_scanning_head_are_one_laser():
 
 def test_oblique_beams_report_motion_outside_the_chosen_degrees_of_freedom():
     measurement = as_measurement(recorded(1))
-    body, (fit,), _ = fitted(measurement, ("y", "alpha", "gamma"))
+    body, (fit,) = fitted(measurement, ("y", "alpha", "gamma"))
     (notice,) = neglected_notice(fit, body)
     assert notice.code == "neglected_motion"
-    body, (fit,), _ = fitted(measurement)
+    body, (fit,) = fitted(measurement)
     assert neglected_notice(fit, body) == []
 
 

@@ -215,14 +215,18 @@ def test_a_large_table_is_read_quickly(tmp_path):
     assert measured.bodies[0].value.shape == (1, 600, 500)
 
 
-@pytest.mark.parametrize(("decimals", "absolute"), [(4, True), (3, True), (2, False)])
-def test_coherence_written_with_few_decimals(tmp_path, decimals, absolute):
-    """What rounds to 1 is not free of noise: its sd is right within 3, and none without few averages."""
+@pytest.mark.parametrize(
+    ("decimals", "absolute", "odd"), [(4, True, 1), (3, True, 0), (2, False, 0), (2, False, 1)]
+)
+def test_coherence_written_with_few_decimals(tmp_path, decimals, absolute, odd):
+    """What rounds to 1 is not free of noise: its sd is right within 3; single values of more digits no matter."""
     relative = np.random.default_rng(3).uniform(0.006, 0.03, 200)
     relative[:5] = 0.001
     gamma = np.round(1.0 / (1.0 + 2.0 * 16 * relative**2), decimals)
     assert np.any(gamma == 1.0)
-    rows = [f"stapes,1,0,0,0,y,{100 + k},1,0,{value:.{decimals}f},16" for k, value in enumerate(gamma)]
+    gamma[100 : 100 + odd] = 0.98765432
+    rows = [f"stapes,1,0,0,0,y,{100 + k},1,0,{value:.8g},16" for k, value in enumerate(gamma)]
+    relative[100 : 100 + odd] = np.sqrt((1.0 / 0.98765432 - 1.0) / 32.0)
     body = read_measurement([table(tmp_path, rows, f"{HEAD},coherence,n_avg")]).bodies[0]
     assert body.relative is not absolute
     assert body.sd is not None
