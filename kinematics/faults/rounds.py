@@ -152,7 +152,7 @@ def null_fit(readings: Readings, layout: Layout, priors: Priors) -> Round:
     estimate = joint(packed, expected)
     levels = ChannelLevels(np.ones(count), np.ones(count), np.zeros(count))
     for _ in range(_LEVEL_ROUNDS if readings.known is None or readings.known.any() else 0):
-        levels = channel_levels(estimate.state, layout.laser, readings.known, levels)
+        levels = channel_levels(estimate.state, layout.laser, levels.level, readings.known)
         packed = pack(replace(readings, noise_factor=readings.noise_factor * levels.level))
         estimate = joint(packed, expected, estimate.values)
     if not stated and packed.turned:

@@ -27,7 +27,7 @@ _ROBUST_ROUNDS = 3  # of level and motion in turn; the second changes the level 
 def fit_with_noise(
     measurement: Measurement, run: int, body: BodyChannels, beams: BeamSet, robust: str = "none"
 ) -> tuple[LineFit, list[Notice]]:
-    """Fit one body in one run with its noise; ``noise_estimated`` or ``noise_unknown`` where none is stated."""
+    """Fit one body in one run with its noise; a notice says so where that is estimated or unknown."""
     value, rate = body.value[run], measurement.per_displacement
     sd = assumed_sd(body, run)
     if body.is_noise_stated:
@@ -43,14 +43,14 @@ def fit_with_noise(
         return unknown, [Notice("noise_unknown", text)]
     if body.sd is None and not fit.solution.is_rounding():
         readings = Readings.of(value[None], sd[None], measurement.freq_hz, body.arms_m, body.directions)
-        lasers, levels = laser_numbers(body.directions), None
+        lasers, level = laser_numbers(body.directions), readings.noise_factor
         for _ in range(_LEVEL_ROUNDS):
-            factor = np.ones(len(value)) if levels is None else levels.level
-            state = State(pack(replace(readings, noise_factor=factor)))
-            levels = channel_levels(state, lasers, before=levels)
-        fit = fit_lines(beams, value, levels.level[:, None] * sd, rate)
+            state = State(pack(replace(readings, noise_factor=level)))
+            level = channel_levels(state, lasers, level).level
+        fit = fit_lines(beams, value, np.asarray(level[:, None] * sd), rate)
     for _ in range(1 if robust == "none" else _ROBUST_ROUNDS):
-        factor = np.maximum(fit.factor * pooled_levels(_line_energy(fit, robust), fit.n_dof), FLOOR)
+        level = pooled_levels(_line_energy(fit, robust), fit.n_dof.astype(float))
+        factor = np.maximum(np.asarray(fit.factor * level), FLOOR)
         fit = fit_lines(beams, value, fit.sd, rate, robust, factor)
     what = "relative noise only" if body.sd is not None else "no noise"
     text = (

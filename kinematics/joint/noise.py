@@ -60,14 +60,14 @@ class ChannelLevels(NamedTuple):
 
 
 def channel_levels(
-    state: State, laser: NDArray[np.intp], known: Array | None = None, before: ChannelLevels | None = None
+    state: State, laser: NDArray[np.intp], assumed: Array, known: Array | None = None
 ) -> ChannelLevels:
     """Estimate how loud channels are from what does not follow the motion.
 
     Parameters
     ----------
     state : State
-        A fit with the noise that is assumed, times the levels found ``before``.
+        A fit with noise of ``assumed`` levels.
     laser : ndarray, (c,), int
         Lasers have a usual noise of their own. A vibrometer that reports x, y, z instead of its beams is the
         case in mind: these lie within some 20 degrees of z, so that x and y are several times as noisy.
@@ -81,8 +81,7 @@ def channel_levels(
     faulty one does not move, and which is at least that of reflecting surfaces.
     """
     energy, freedom = state.own_noise
-    if before is not None:
-        energy = energy * before.level**2
+    energy = energy * assumed**2
     some = freedom > _LEAST_FREEDOM
     ones = np.ones(len(freedom))
     spread = _REFLECTION * ones if known is None else known

@@ -219,7 +219,7 @@ def test_a_large_table_is_read_quickly(tmp_path):
     ("decimals", "absolute", "odd"), [(4, True, 1), (3, True, 0), (2, False, 0), (2, False, 1)]
 )
 def test_coherence_written_with_few_decimals(tmp_path, decimals, absolute, odd):
-    """What rounds to 1 is not free of noise: its sd is right within 3; single values of more digits no matter."""
+    """What rounds to 1 is not free of noise: its sd is right within 3. One value may have more digits."""
     relative = np.random.default_rng(3).uniform(0.006, 0.03, 200)
     relative[:5] = 0.001
     gamma = np.round(1.0 / (1.0 + 2.0 * 16 * relative**2), decimals)
