@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from ct_inertia.mass.ways import MassByWay
     from ct_inertia.report.pictured import Pictured
     from ct_inertia.scan.scan import Scan
-    from stapeskit.report.page import Page
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -205,22 +204,16 @@ class MassResult(Result):
         return pictured_of(self)
 
     def plot(self) -> Figure:
-        """Draw the stapes from three sides along the footplate axes."""
-        from ct_inertia.report.pictures import views
+        """Draw the medial side of the stapes with its directions."""
+        from ct_inertia.report.pictures import medial_view
 
-        return views(self.content(), self.pictured)
+        return medial_view(self.content(), self.pictured)
 
     def show(self) -> Any:
         """Show the stapes and its frames in a window that can be turned, or in a notebook (pyvista)."""
         from ct_inertia.report.window import show
 
         return show(self)
-
-    def sections(self, page: Page) -> None:
-        """Add what this result has to say to a page: slices, mass matrix, frames, view, and the appendix."""
-        from ct_inertia.report.sections import add_sections
-
-        add_sections(page, self.content(), self.pictured)
 
     def write(self, folder: Path | str, *, force: bool = False, report: bool = True) -> tuple[Path, ...]:
         """Write mass.json, surfaces, labels and, unless ``report`` is off, report.html.

@@ -1,7 +1,6 @@
 """report.html of a study: verdict, K, D and modes first; the moving stapes, cut, budgets; the rest folded.
 
-Everything is drawn from results; nothing of a page is stored. Sections come from the rooms, in the order of
-`_MAIN`.
+Everything is drawn from results; nothing of a page is stored. Sections come from the rooms.
 """
 
 from __future__ import annotations
@@ -24,16 +23,6 @@ if TYPE_CHECKING:
     from pipeline.run import StudyResult
     from stapeskit.report.scene3d import Motion, Scene
 
-# Sections of the first two pages, by their headings; all others are in the folded appendix.
-_MAIN = (
-    "Measured and simulated responses",
-    "What was measured",
-    "Mass matrix M",
-    "Modes",
-    "Where the uncertainty comes from",
-    "Channels and verdicts",
-)
-
 
 def summary_rows(result: StudyResult) -> list[tuple[str, str]]:
     """Return verdict, mass, K, D and modes with their uncertainty."""
@@ -51,25 +40,20 @@ def study_page(result: StudyResult) -> page.Page:
     """Return the report of a study."""
     from ct_inertia.report.sections import add_sections, reduced_matrix
     from fitting.report.page import add_sections as add_fit
-    from fitting.report.page import matrices, rim_blocks, summary_table, verdict_block
+    from fitting.report.page import first_screen, responses_section
     from kinematics.report.page import motion_sections
 
     fit, study = result.fit, result.study
     made = page.Page(result.name, study.about.notes)
-    made.add(verdict_block(fit), page.beside(summary_table(summary_rows(result)), *rim_blocks(fit)))
-    known = [] if study.about.truth is None else [truth_table(result, study.about.truth)]
-    made.add(page.beside(*matrices(fit), reduced_matrix(result.mass), *known))
-
-    collected = page.Page("all sections")
-    add_sections(collected, result.mass, result.pictured)
-    motion_sections(collected, result.moved)
-    add_fit(fit, collected)
+    made.add(*first_screen(fit, reduced_matrix(result.mass)))
+    made.section(*responses_section(fit))
     made.section("The moving stapes", page.viewer(moving_stapes(result)))
-    sections = [*collected.sections, *collected.appendix]
-    first = [section for name in _MAIN for section in sections if section.name == name]
-    made.sections.extend(replace(section, folded=False) for section in first)
+    add_sections(made, result.mass, result.pictured)
+    motion_sections(made, result.moved)
+    add_fit(fit, made)
+    if study.about.truth is not None:
+        made.section("A simulated ear: true and found", truth_table(result, study.about.truth))
     made.section("Warnings", page.notices(result.notices, study.about.confirmed))
-    made.appendix.extend(replace(section, folded=True) for section in sections if section not in first)
     inputs = (page.inputs(each) for each in _provenances(result))
     made.appendix_section("Methods and inputs", page.text(methods(result)), *inputs)
     return made
@@ -123,7 +107,7 @@ def truth_table(result: StudyResult, path: Path) -> Any:
                 unit = diagonal_unit(letter, name, fit.law.time_power)
                 found = unit.with_sd(float(values[place, place]), float(sds[place, place]))
                 rows.append((f"{letter}({name})", unit.text(float(truth[key][at][at]), ".4g"), found))
-    return page.table(("simulated ear", "true", "found"), rows, words=True)
+    return page.table(("", "true", "found"), rows, words=True)
 
 
 def write_figures(result: StudyResult, folder: Path, force: bool = False) -> list[Path]:
@@ -135,18 +119,15 @@ def write_figures(result: StudyResult, folder: Path, force: bool = False) -> lis
         A file of another origin has the name of a figure, unless ``force``.
     """
 
-    from ct_inertia.report.pictures import slices_figure, views
-    from fitting.report.figures import all_figures, rim_figure
-    from fitting.ring import rim_of
+    from ct_inertia.report.pictures import medial_view, slices_figure
+    from fitting.report.figures import all_figures
     from kinematics.report.figures import residual_figure, spectra_figure
     from stapeskit.report.figures import save_figures
 
-    rim = rim_of(result.fit)
     figures: dict[str, Figure | None] = {
         **all_figures(result.fit),
-        "stapes": views(result.mass, result.pictured),
+        "medial": medial_view(result.mass, result.pictured),
         "cut": slices_figure(result.mass, result.pictured),
-        "rim": None if rim is None else rim_figure(rim),
         "motion": spectra_figure(result.moved.motion),
         "channel_residuals": residual_figure(result.moved),
     }

@@ -1,8 +1,8 @@
-"""Pictures: the stapes from three sides with what lies where, and slices with what was measured."""
+"""Pictures: the medial side of the stapes with its directions, and slices with what was measured."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from ct_inertia.bodies import OTHER_BONE, PLATE
 from ct_inertia.frames.anatomy import NO_HINT, directions
 from ct_inertia.report.pictured import Pictured, Slices
-from ct_inertia.surface.surface import Faces, Surface
+from ct_inertia.surface.surface import Surface
 from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 from stapeskit.report.colours import BODY_COLOURS, OTHER_COLOURS, lighten
@@ -20,14 +20,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-VIEWS = (("-y", "+x", "+z"), ("+z", "+x", "+y"), ("+x", "-z", "+y"))
-"""Sides the stapes is seen from: axis towards the eye, to the right, up; right-handed."""
-
 _LIGHT = np.array([-0.35, 0.45, 0.82])  # direction of the light: right, up, towards the eye
 _PIXELS = 340  # along an edge of a slice
 _MARGIN_MM = 0.4
 _ABOVE_MM = 0.12  # height of the slice along the footplate: within its bone
-_BODIES = ((OTHER_BONE, OTHER_COLOURS[0], "other bone"), (PLATE, BODY_COLOURS["base"], "plate"))
+_BODIES = ((OTHER_BONE, OTHER_COLOURS[0], "other bone"), (PLATE, BODY_COLOURS["plate"], "plate"))
 
 
 def frame_of(content: Mapping[str, Any], name: str) -> RigidTransform | None:
@@ -43,26 +40,19 @@ def anatomy_of(content: Mapping[str, Any]) -> dict[str, str]:
 
 
 @style()
-def views(
-    content: Mapping[str, Any], pictured: Pictured, sides: Sequence[tuple[str, str, str]] = VIEWS
-) -> Figure:
-    """Draw the stapes from sides along the footplate axes: all three, medial first; mm from its centre."""
+def medial_view(content: Mapping[str, Any], pictured: Pictured) -> Figure:
+    """Draw the stapes seen from its footplate, +x to the right and +z up; mm from the footplate centre."""
     frame = frame_of(content, "footplate")
     assert frame is not None  # noqa: S101 - every mass.json has it
-    names = anatomy_of(content)
-    local, faces = frame.inverse().points(pictured.light_stapes.vertices_mm), pictured.light_stapes.faces
-    width, margins = 3.5 * len(sides), (0.5, 0.1, 0.35, 0.5)
-    drawing, axes = panels(1, len(sides), width=width, height=3.9, margins=margins, gaps=(0.6, 0.1))
-    half = 0.62 * float(np.max(np.ptp(local, axis=0)))
-    for ax, (eye, right, up) in zip(axes[0], sides, strict=True):
-        _side(ax, local @ np.stack([_axis(right), _axis(up), _axis(eye)]).T, faces, half)
-        ax.set_title(f"seen from {_word(eye, names)}")
-        ax.set(xlabel=f"towards {_word(right, names)}, mm", ylabel=f"towards {_word(up, names)}, mm")
+    local = frame.inverse().points(pictured.light_stapes.vertices_mm)
+    drawing, grid = panels(1, 1, width=4.6, height=3.4, margins=(0.5, 0.1, 0.3, 0.5), gaps=(0.6, 0.1))
+    axes, names = grid[0, 0], anatomy_of(content)
+    _shade(axes, local @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]).T, pictured)
+    axes.set_title(f"seen from {_word('-y', names)}")
+    axes.set(xlabel=f"towards {_word('+x', names)}, mm", ylabel=f"towards {_word('+z', names)}, mm")
+    axes.set(aspect="equal")
+    axes.margins(0.08)
     return drawing
-
-
-def _axis(name: str) -> Array:
-    return np.eye(3)["xyz".index(name[1])] * (-1.0 if name[0] == "-" else 1.0)
 
 
 def _word(name: str, names: Mapping[str, str]) -> str:
@@ -70,11 +60,11 @@ def _word(name: str, names: Mapping[str, str]) -> str:
     return f"{names[name]} ({sign})" if name in names else sign
 
 
-def _side(axes: Axes, points: Array, faces: Faces, half: float) -> None:
+def _shade(axes: Axes, points: Array, pictured: Pictured) -> None:
     """Draw lit triangles from back to front; points (n, 3) to the right, up and towards the eye."""
     from matplotlib.collections import PolyCollection
 
-    corners = points[faces]
+    corners = points[pictured.light_stapes.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     shown = np.flatnonzero(normals[:, 2] > 0.0)
@@ -85,8 +75,6 @@ def _side(axes: Axes, points: Array, faces: Faces, half: float) -> None:
     triangles = PolyCollection(list(corners[order, :, :2]), rasterized=True, linewidths=0.3)
     triangles.set(facecolors=colours, edgecolors=colours)
     axes.add_collection(triangles)
-    x, y = 0.5 * (points.min(axis=0) + points.max(axis=0))[:2]
-    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal")
 
 
 @style()

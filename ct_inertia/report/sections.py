@@ -6,7 +6,7 @@ same page.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,17 +14,18 @@ import numpy as np
 from ct_inertia.mass.sizes import NAMES
 from ct_inertia.mass.ways import WAYS
 from ct_inertia.report.pictured import Pictured
-from ct_inertia.report.pictures import VIEWS, anatomy_of, frame_of, slices_figure, views
+from ct_inertia.report.pictures import anatomy_of, frame_of, medial_view, slices_figure
 from stapeskit.records.mass_matrix import source_words
 from stapeskit.report import page
-from stapeskit.report.colours import AXIS_COLOURS, BODY_COLOURS
-from stapeskit.report.quantities import LENGTH, MASS, SMALL_LENGTH, VOLUME, Quantity, matrix_units
+from stapeskit.report.colours import AXIS_COLOURS, BODY_COLOURS, PAGE_COLOURS
+from stapeskit.report.quantities import LENGTH, MASS, SMALL_LENGTH, VOLUME, Quantity, matrix_units, plus_minus
 from stapeskit.report.scene3d import Line, Mesh, Scene
 from stapeskit.warnings import from_json
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
+_ABOUT = "about the footplate centre, in footplate axes"
 _LARGEST = 5  # sources of uncertainty that are listed one by one
 _LEAST_SHOWN = 5e-4  # percent and micrometres: less is none
 _PLATE_AXIS_MM = 1.0
@@ -45,7 +46,10 @@ def mass_page(content: Content, pictured: Pictured) -> page.Page:
     source = next(iter(content["provenance"]["inputs"].values()))["file"]
     lead = "A stapes from micro-CT: volume, frames and generalized mass matrix about the footplate centre."
     shown = page.Page(f"Mass matrix of {source}", lead)
-    shown.add(summary_cards(content), reduced_matrix(content))
+    missing = _missing(content)
+    note = f"No standard deviations: {missing}." if missing else page.PLUS_MINUS
+    shown.add(page.note(f"{note} M is {_ABOUT}."))
+    shown.add(page.beside(reduced_matrix(content), *summary_tables(content)))
     shown.add(page.notices(from_json(content["warnings"])))
     add_sections(shown, content, pictured)
     shown.section("The stapes in three dimensions", page.viewer(scene(content, pictured)))
@@ -62,29 +66,28 @@ def mass_page(content: Content, pictured: Pictured) -> page.Page:
 
 
 def add_sections(shown: page.Page, content: Content, pictured: Pictured) -> None:
-    """Add the sections on slices, mass matrix, frames and bodies, and the appendix, to a page."""
+    """Add what was measured, mass matrix and its uncertainty, and the appendix, to a page."""
     cut = slices_figure(content, pictured)
+    blocks = []
     if cut is not None:
         caption = (
             "Grey values in planes of the footplate frame, with the outline of what was measured as stapes, "
-            "and of what was taken for other bone and the plate."
-        )
-        correct = (
-            "Where the outline is wrong: --seed, --threshold and --box correct it, and --labels takes "
-            "labels.seg.nrrd corrected in 3D Slicer or ITK-SNAP."
+            "and of what was taken for other bone and the plate. Where the outline is wrong: --seed, "
+            "--threshold and --box correct it, and --labels takes labels.seg.nrrd corrected in 3D Slicer or "
+            "ITK-SNAP."
         )
         alt = "Three slices with the outlines of stapes, plate and other bone."
-        shown.section("What was measured", page.figure(cut, caption, alt), page.text(correct))
+        blocks.append(page.figure(cut, caption, alt, file="cut"))
+    shown.section("What was measured", *blocks, page.beside(*orientation_blocks(content, pictured)))
     shown.section("Mass matrix M", *matrix_blocks(content))
-    shown.section("Frames", *frame_blocks(content, pictured))
-    measured = evidence_blocks(content)
-    for heading, blocks in (
+    measured = [_frames_table(content), *evidence_blocks(content)]
+    for heading, rows in (
         ("Ways to the mass", ways_blocks(content)),
-        ("Next to published stapedes", published_blocks(content)),
+        ("Compared with published stapedes", published_blocks(content)),
     ):
-        if blocks:
-            measured += [page.subheading(heading), *blocks]
-    shown.appendix_section("How the stapes was found and measured", *measured)
+        if rows:
+            measured += [page.subheading(heading), *rows]
+    shown.appendix_section("Frames, and how the stapes was found", *measured)
 
 
 def _missing(content: Content) -> str:
@@ -94,32 +97,32 @@ def _missing(content: Content) -> str:
     return "" if stated else f"no standard deviation of {WAYS[way].what} was given"
 
 
-def summary_cards(content: Content) -> Markup:
-    """Return mass, volume, centre, sizes and the frame."""
-    total, found = content["uncertainty"]["total"], content["found"]
+def summary_tables(content: Content) -> list[Markup]:
+    """Return mass, volume and centre, and sizes and directions, as two tables."""
+    total, found, frames = content["uncertainty"]["total"], content["found"], content["frames"]
     values = np.array(content["inertial_parameters"]["values_si"])
-    centre = values[1:4] / values[0]
     sd = None if _missing(content) else total["mass_kg"]
-    codes = {warning["code"] for warning in content["warnings"]}
     density = f"{content['density_kg_m3']:.0f} kg/m³"
-    if "density_assumed" in codes:
+    if "density_assumed" in {warning["code"] for warning in content["warnings"]}:
         density += " ± 200, ASSUMED: state your own with --density, --mass-mg or --calibration"
+    spread = zip(values[1:4] / values[0], total["center_of_mass_m"], strict=True)
+    centre = ", ".join(plus_minus(LENGTH.of(float(value)), LENGTH.of(float(own))) for value, own in spread)
     mass = [
         ("density of the bone", density),
         ("mass with what was added" if found["added_masses"] else "mass", Quantity(values[0], sd, MASS)),
         ("volume of the bone", VOLUME.text(content["volume_m3"], ".4f")),
-    ]
-    place = [
-        (f"centre of mass, {axis}", Quantity(float(value), float(spread), LENGTH))
-        for axis, value, spread in zip("xyz", centre, total["center_of_mass_m"], strict=True)
+        ("centre of mass (footplate x, y, z)", f"{centre} mm"),
     ]
     size = f"{found['footplate_length_mm']:.2f} × {found['footplate_width_mm']:.2f} mm"
-    sizes = [("footplate", size), ("height", f"{found['height_mm']:.2f} mm"), ("gap", _gap_words(found))]
-    words = [
-        ("anterior", content["frames"].get("anterior_in_words", "")),
-        ("z points", content["frames"]["z_is"]),
+    place = [
+        ("footplate, height", f"{size}, {found['height_mm']:.2f} mm"),
+        ("gap of the ligament", _gap_words(found)),
+        ("anterior", frames.get("anterior_in_words", "")),
+        ("for the other choice", frames.get("other_choice", "")),
+        ("z points", frames["z_is"]),
     ]
-    return page.cards(("Mass", mass), ("In footplate axes", place), ("Sizes", sizes), ("Frame", words))
+    tables = (("Mass", mass), ("Sizes and directions", place))
+    return [page.table(("", ""), rows, title=title, words=True) for title, rows in tables]
 
 
 def _gap_words(found: Content) -> str:
@@ -131,32 +134,24 @@ def _gap_words(found: Content) -> str:
 
 def reduced_matrix(content: Content) -> Markup:
     """Return M for y, alpha, gamma with its 95 % intervals."""
-    return _matrix(content, "mass_matrix_reduced", "about the footplate centre, in footplate axes")
+    names = [f"{name} ({number})" for number, name in enumerate(content["mass_matrix_reduced"]["dof"], 1)]
+    return _matrix(content, "mass_matrix_reduced", "", names)
 
 
-def _matrix(content: Content, key: str, caption: str) -> Markup:
+def _matrix(content: Content, key: str, caption: str, names: Sequence[str] = ()) -> Markup:
     block = content[key]
     sd = None if _missing(content) else block["standard_deviation_si"]
     units = matrix_units("M", block["dof"])
-    return page.matrix(block["dof"], block["matrix_si"], sd, units, caption, title="Mass M")
+    return page.matrix(names or block["dof"], block["matrix_si"], sd, units, caption, title="Mass M")
 
 
 def matrix_blocks(content: Content) -> list[Markup]:
     """Return M in full and the budget of its largest sources."""
-    missing = _missing(content)
-    order = (
-        "Degrees of freedom: x, y, z (translations of the footplate centre), alpha, beta, gamma (small "
-        "rotations about x, y, z). "
-    )
-    order += f"No standard deviations: {missing}." if missing else "± is one standard deviation."
-    blocks = [
-        page.text(order),
-        _matrix(content, "mass_matrix", "about the footplate centre, in footplate axes"),
-    ]
+    blocks = [_matrix(content, "mass_matrix", _ABOUT)]
     if content["mass_matrix_plate_axes"] is not None:
         plate = _matrix(content, "mass_matrix_plate_axes", "about the footplate centre, in plate axes")
         blocks.append(page.folded("M in the axes of the plate", plate))
-    return [*blocks, page.subheading("Where the uncertainty comes from"), *budget_blocks(content)]
+    return [*blocks, page.subheading("Uncertainty of M"), *budget_blocks(content)]
 
 
 def budget_blocks(content: Content) -> list[Markup]:
@@ -186,16 +181,16 @@ def _digits(values: Any) -> list[str]:
     return [f"{value:.2g}" if value >= _LEAST_SHOWN else "0" for value in values]
 
 
-def frame_blocks(content: Content, pictured: Pictured) -> list[Markup]:
-    """Return the medial side with its directions named, where anterior is in words, and both frames."""
+def orientation_blocks(content: Content, pictured: Pictured) -> list[Markup]:
+    """Return the medial side with its directions named, and where anterior is in words."""
+    from markupsafe import Markup
+
     frames = content["frames"]
-    medial = views(content, pictured, VIEWS[:1])
-    caption = (
-        "The stapes along the piston direction y, in axes of the footplate: +x is anterior, as taken below."
-    )
-    drawn = page.figure(medial, caption, "The medial side of the stapes, with its directions named.")
-    words = f"Anterior was taken to be {frames['anterior_in_words']}. The other choice:"
-    return [drawn, page.text(words), page.code(frames["other_choice"]), _frames_table(content)]
+    caption = "The medial side of the stapes, seen along the piston direction y, in axes of the footplate."
+    alt = "The medial side of the stapes, with its directions named."
+    drawn = page.figure(medial_view(content, pictured), caption, alt, file="medial")
+    words = f"Anterior was taken to be {frames['anterior_in_words']}. For the other choice, add:"
+    return [drawn, Markup("").join([page.text(words), page.code(frames["other_choice"])])]
 
 
 def _frames_table(content: Content) -> Markup:
@@ -241,7 +236,7 @@ def scene(content: Content, pictured: Pictured) -> Scene:
         )
     outline = np.array(content["found"]["footplate_outline_in_footplate_mm"])
     closed = frame.points(np.vstack([outline, outline[:1]]))
-    lines.append(Line("outline", closed, BODY_COLOURS["base"], "outline of the footplate", width=2.0))
+    lines.append(Line("outline", closed, PAGE_COLOURS["ink"], "outline of the footplate", width=2.0))
     plate_frame = frame_of(content, "plate")
     if plate_frame is not None:
         for name, axis in zip("xyz", plate_frame.rotation.T, strict=True):

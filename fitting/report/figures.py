@@ -1,4 +1,4 @@
-"""Figures of a fit: responses (paper, Figs. 4 and 5), principal axes (Fig. 6), residuals, rim."""
+"""Figures of a fit: responses (paper, Figs. 4 and 5), footplate with rim and axes (Fig. 6), residuals."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting import entries
-from fitting.model import principal_axes
+from fitting.ring import rim_of
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.report.colours import BODY_COLOURS, FITTED, MEASURED, lighten
+from stapeskit.report.colours import BODY_COLOURS, FITTED, MEASURED, PAGE_COLOURS, lighten
 from stapeskit.report.figures import amplitude_axis, decimate_lines, dof_unit, frequency_axis, panels, style
 
 if TYPE_CHECKING:
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from fitting.ring import Rim
 
 _CLEAR = 3.0  # standard deviations from which a response is clear of its noise
-_MOST_RUNS = 4  # whose responses are drawn
+MOST_RUNS = 4  # whose responses are drawn
 
 
 @dataclass(frozen=True)
@@ -67,14 +66,30 @@ def response_figure(fit: KDFit, run: int = 0) -> Figure:
     shown = responses(fit, run)
     order = np.argsort(shown.freq_hz)
     n = len(fit.dof)
-    drawing, axes = panels(2, n, width=max(10.4, 3.3 * n), height=2.3, share_x=True)
+    width, margins = max(12.0, 3.5 * n), (0.62, 0.12, 0.5, 0.46)
+    drawing, axes = panels(2, n, width=width, height=2.3, margins=margins, share_x=True)
     for place, name in enumerate(fit.dof):
         _amplitudes(axes[0, place], shown, order, place, dof_unit(name))
         axes[0, place].set_title(f"{name} of the {fit.options.structure}")
         _phases(axes[1, place], shown, order, place)
         frequency_axis(axes[1, place], shown.freq_hz[order])
-    axes[0, 0].legend()
+    drawing.legend(*axes[0, 0].get_legend_handles_labels(), loc="upper center", ncols=3)
     axes[1, 0].set_ylabel("phase (°)")
+    return drawing
+
+
+@style()
+def amplitude_figure(fit: KDFit) -> Figure:
+    """Draw the amplitudes of the first run below each other, small: for the first screen."""
+    shown = responses(fit)
+    order = np.argsort(shown.freq_hz)
+    margins = (0.62, 0.06, 0.24, 0.42)
+    drawing, axes = panels(len(fit.dof), 1, width=4.4, height=1.0, margins=margins, share_x=True)
+    for place, name in enumerate(fit.dof):
+        _amplitudes(axes[place, 0], shown, order, place, dof_unit(name))
+        axes[place, 0].set_ylabel(f"|{name}| ({dof_unit(name)[1]})")
+        frequency_axis(axes[place, 0], shown.freq_hz[order], label=place == len(fit.dof) - 1)
+    drawing.legend(*axes[0, 0].get_legend_handles_labels(), loc="upper right", ncols=3, columnspacing=1.0)
     return drawing
 
 
@@ -87,11 +102,11 @@ def _amplitudes(
         np.abs(part[order, place]) * scale for part in (shown.measured, shown.simulated, shown.base)
     )
     kept, spread = decimate_lines(measured), 1.96 * shown.simulated_sd[order, place] * scale
-    axes.plot(freq, base, color=lighten(BODY_COLOURS["base"]), lw=1.2, label="base, at the same point")
+    axes.plot(freq, base, color=lighten(BODY_COLOURS["base"]), lw=1.2, label="base")
     axes.plot(freq[kept], measured[kept], ".", ms=3, color=MEASURED, alpha=0.7, label="measured")
     lower = np.maximum(simulated - spread, 1e-12)
     axes.fill_between(freq, lower, simulated + spread, color=FITTED, alpha=0.25, lw=0)
-    axes.plot(freq, simulated, color=FITTED, lw=1.2, label="simulated (Eq. 8), 95 %")
+    axes.plot(freq, simulated, color=FITTED, lw=1.2, label="fitted, with 95 %")
     axes.set_ylabel(f"amplitude ({symbol})")
     largest = float(measured.max())
     amplitude_axis(axes, max(float(measured.min()), 1e-4 * largest), max(largest, float(simulated.max())))
@@ -122,7 +137,10 @@ def residual_figure(fit: KDFit) -> Figure:
     drawing, axes = panels(1, 2, height=2.8)
     left, right = axes[0]
     freq, small = np.repeat(data.freq_hz, white.shape[1]) / 1e3, {"ms": 2.5, "rasterized": True}
-    for part, colour, label in ((white.real, MEASURED, "real"), (white.imag, FITTED, "imaginary")):
+    for part, colour, label in (
+        (white.real, MEASURED, "real"),
+        (white.imag, PAGE_COLOURS["information"], "imaginary"),
+    ):
         left.plot(freq, part.ravel(), ".", color=colour, alpha=0.6, label=label, **small)
     for level in (-1.96, 1.96):
         left.axhline(level, color=MEASURED, lw=0.7, ls=":")
@@ -138,71 +156,61 @@ def residual_figure(fit: KDFit) -> Figure:
 
 
 @style()
-def axes_figure(fit: KDFit) -> Figure | None:
-    """Draw the footplate with origin and principal axes of the stiffness (paper, Fig. 6) and their draws."""
-    values = fit.derived.axes
-    if values is None:
+def footplate_figure(fit: KDFit) -> Figure | None:
+    """Draw the footplate with the stiffness along its rim and the principal axes of K (paper, Fig. 6)."""
+    axes_of_k, outline, rim = fit.derived.axes, fit.outline_mm, rim_of(fit)
+    if outline is None or (axes_of_k is None and rim is None):
         return None
-    drawing, panel = panels(1, 1, width=6.2, height=4.2)
-    axes = panel[0, 0]
-    if fit.outline_mm is not None:
-        outline = fit.outline_mm
-        axes.fill(*outline.T, color=lighten(BODY_COLOURS["stapes"], 0.8), lw=0)
+    drawing, grid = panels(1, 1, width=4.4, height=2.45, margins=(0.58, 0.06, 0.06, 0.42))
+    axes = grid[0, 0]
+    if rim is None:
         axes.plot(*np.vstack([outline, outline[:1]]).T, color=BODY_COLOURS["stapes"], lw=1.2)
-    stiffness = entries.split(fit.draws.draws[:400], len(fit.dof))[0]
-    drawn = principal_axes(stiffness[stiffness[:, 0, 0] > 0.0])
-    axes.plot(
-        1e3 * drawn[:, 0], 1e3 * drawn[:, 1], ".", ms=1.5, color=FITTED, alpha=0.3, label="origin, draws"
+    else:
+        _rim(axes, rim)
+    if axes_of_k is not None:
+        origin, angle = 1e3 * axes_of_k[:2], axes_of_k[2]
+        for turn in (angle, angle + 0.5 * np.pi):
+            ends = origin + np.outer([-0.45, 0.45], [np.cos(turn), -np.sin(turn)])
+            axes.plot(*ends.T, color=FITTED, lw=1.3)
+    axes.plot(0.0, 0.0, "+", color=MEASURED, ms=8)
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    x, z = 0.5 * (low + high)
+    up, down = {"left": ("superior", "inferior"), "right": ("inferior", "superior")}.get(
+        fit.side, ("+z", "-z")
     )
-    origin, angle = 1e3 * values[:2], values[2]
-    for turn, name in ((angle, "near x"), (angle + 0.5 * np.pi, "near z")):
-        along = np.array([np.cos(turn), -np.sin(turn)])
-        ends = origin + np.outer([-0.8, 0.8], along)
-        axes.plot(*ends.T, color=FITTED, lw=1.4)
-        axes.annotate(name, ends[1], color=FITTED, fontsize=8)
-    axes.plot(0.0, 0.0, "+", color=MEASURED, ms=9, label="footplate centre")
-    axes.set_aspect("equal")
-    axes.set_xlabel("x (mm), + anterior")
-    axes.set_ylabel("z (mm)")
-    axes.legend(loc="best")
+    for text, place in (
+        ("anterior", (high[0] + 0.34, z)),
+        ("posterior", (low[0] - 0.36, z)),
+        (up, (x, high[1] + 0.17)),
+        (down, (x, low[1] - 0.17)),
+    ):
+        axes.text(*place, text, color=PAGE_COLOURS["soft"], ha="center", va="center", fontsize=9)
+    axes.set(xlabel="x (mm)", ylabel="z (mm)", xlim=(low[0] - 0.7, high[0] + 0.7), aspect="equal")
+    axes.set_ylim(low[1] - 0.3, high[1] + 0.3)
     return drawing
 
 
-@style()
-def rim_figure(rim: Rim) -> Figure:
-    """Draw the rim with its stiffness as colour and width, and the names of its sides."""
+def _rim(axes: Axes, rim: Rim) -> None:
+    """Draw the rim with its stiffness as colour and width, and the largest and the smallest as numbers."""
     from matplotlib.collections import LineCollection
 
-    drawing, grid = panels(1, 1, width=6.4, height=3.8)
-    axes = grid[0, 0]
     shade = (rim.ratio - rim.ratio.min()) / max(float(np.ptp(rim.ratio)), 1e-9)
     pieces = list(np.stack([rim.points_mm, np.roll(rim.points_mm, -1, axis=0)], axis=1))
-    axes.add_collection(LineCollection(pieces, array=shade, cmap="viridis", linewidths=3.0 + 7.0 * shade))
-    low, high = rim.points_mm.min(axis=0), rim.points_mm.max(axis=0)
-    x, z = 0.5 * (low + high)
-    named = {"left": ("superior", "inferior"), "right": ("inferior", "superior")}
-    up, down = named.get(rim.side, ("+z", "-z"))
-    middle = {"ha": "center", "va": "center", "fontsize": 9}
-    axes.annotate(f"{rim.ratio[rim.stiffest]:.2f}", rim.points_mm[rim.stiffest], **middle)
-    for text, place in (
-        ("anterior", (high[0] + 0.25, z)),
-        ("posterior", (low[0] - 0.25, z)),
-        (up, (x, high[1] + 0.2)),
-        (down, (x, low[1] - 0.2)),
-    ):
-        axes.text(*place, text, color="#52606d", **middle)
-    axes.set_aspect("equal")
-    axes.set(xlabel="x (mm)", ylabel="z (mm)", xlim=(low[0] - 0.7, high[0] + 0.7))
-    axes.set_ylim(low[1] - 0.45, high[1] + 0.45)
-    return drawing
+    lines = LineCollection(pieces, array=shade, cmap="viridis", linewidths=2.0 + 7.0 * shade)
+    lines.set_capstyle("round")
+    axes.add_collection(lines)
+    middle = rim.points_mm.mean(axis=0)
+    for place in (rim.stiffest, int(np.argmin(rim.ratio))):
+        inward = middle + 0.76 * (rim.points_mm[place] - middle)
+        axes.annotate(f"{rim.ratio[place]:.2f}", inward, ha="center", va="center", fontsize=9)
 
 
 def all_figures(fit: KDFit) -> dict[str, Figure]:
     """Return every figure of the page by its file name; the responses of up to four runs."""
-    runs = range(min(len(fit.found.data.runs), _MOST_RUNS))
+    runs = range(min(len(fit.found.data.runs), MOST_RUNS))
     drawn = {
         **{f"responses_run_{run + 1}": response_figure(fit, run) for run in runs},
-        "principal_axes": axes_figure(fit),
+        "footplate": footplate_figure(fit),
         "residuals": residual_figure(fit),
     }
     return {name: one for name, one in drawn.items() if one is not None}

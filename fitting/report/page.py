@@ -8,13 +8,20 @@ import numpy as np
 
 from fitting import entries
 from fitting.model import NORMALISATION
-from fitting.report.figures import all_figures, rim_figure
+from fitting.report.figures import (
+    MOST_RUNS,
+    amplitude_figure,
+    footplate_figure,
+    residual_figure,
+    response_figure,
+)
 from fitting.report.kd_json import equation
-from fitting.report.summary import determined, summary_rows
+from fitting.report.summary import model_rows
 from fitting.ring import rim_of, ring_of
 from stapeskit.arrays import Array
 from stapeskit.report import page
 from stapeskit.report.quantities import (
+    HERTZ,
     LENGTH,
     PERCENT,
     ROTATION_STIFFNESS,
@@ -30,12 +37,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from markupsafe import Markup
-    from matplotlib.figure import Figure
 
     from fitting.result import KDFit
-    from stapeskit.report.page import Page, Section
+    from stapeskit.report.page import Page
 
 _LARGEST = 5  # sources of uncertainty that are listed one by one
+_MOST_BESIDE = 3  # degrees of freedom of matrices that stand beside each other
 _ABOUT = "about the footplate centre in footplate axes"
 _YES = {True: "yes", False: "no"}
 
@@ -47,43 +54,67 @@ def kd_page(fit: KDFit) -> Page:
         f"({fit.law.formula}), {fit.found.data.count} lines."
     )
     made = page.Page("Stiffness and damping of the annular ligament", lead)
-    made.add(verdict_block(fit), page.beside(summary_table(summary_rows(fit)), *rim_blocks(fit)))
-    made.add(page.beside(*matrices(fit)))
+    made.add(*first_screen(fit))
+    made.section(*responses_section(fit))
     add_sections(fit, made)
     made.section("Warnings", page.notices(fit.notices))
     made.appendix_section("Inputs", page.inputs(fit.provenance))
     return made
 
 
-def add_sections(fit: KDFit, into: Page) -> list[Section]:
-    """Add the sections of a fit to a page, also that of a study; return them."""
-    figures = all_figures(fit)
-    made = {
-        "Measured and simulated responses": _responses(fit, figures),
-        "Modes": _modes(fit),
-        "Principal axes and plane of the ligament": [*_axes(fit, figures), *_plane(fit)],
-        "Is the model right?": _causes(fit, figures),
-        "Where the uncertainty comes from": budget_blocks(fit),
-        "What the data determine": _identifiability(fit),
-    }
-    return [into.section(name, *blocks) for name, blocks in made.items() if blocks]
+def first_screen(fit: KDFit, *others: Markup) -> list[Markup]:
+    """Return verdict, K, D, other matrices, modes, the footplate and what is known of the model."""
+    about = f"{page.PLUS_MINUS} K, D and M are {_ABOUT}."
+    cells = [*matrices(fit), *others, *_first_modes(fit), *footplate_blocks(fit)]
+    alt = "Amplitudes of the structure, measured and fitted, and of the base."
+    cells.append(page.figure(amplitude_figure(fit), "", alt, file="amplitudes", title="Measured and fitted"))
+    if len(fit.dof) > _MOST_BESIDE:
+        return [verdict_block(fit), page.note(about), *cells]
+    return [verdict_block(fit), page.note(about), page.beside(*cells)]
 
 
-def summary_table(rows: Sequence[tuple[str, str]]) -> Markup:
-    """Return a summary without the rows that the matrices show."""
-    return page.table(("", ""), [row for row in rows if not row[0].startswith(("K(", "D("))], words=True)
-
-
-def rim_blocks(fit: KDFit) -> list[Markup]:
-    """Return the stiffness along the rim of the footplate, where it is known."""
-    rim = rim_of(fit)
-    if rim is None:
-        return []
+def responses_section(fit: KDFit) -> tuple[str, *tuple[Markup, ...]]:
+    """Return heading and blocks on measured and fitted responses."""
     caption = (
-        f"{rim.sentence()} Width and colour: stiffness over its mean. From K11, K12 and K13: springs normal "
-        "to the footplate along its rim whose stiffness varies linearly over the footplate."
+        "Motion of the footplate centre, and the response of the fitted model to the measured motion of the "
+        "base at the same point and to the load of other measured motion (paper, Eq. 8, Figs. 4 and 5); the "
+        "band is 95 % of K and D, ripples of the line are noise of the base."
     )
-    return [page.figure(rim_figure(rim), caption, "stiffness along the rim of the footplate", file="rim")]
+    runs = fit.found.data.runs[:MOST_RUNS]
+    figures = []
+    for run, name in enumerate(runs):
+        words = (f"Run {name}. " if len(runs) > 1 else "") + caption
+        drawn = response_figure(fit, run)
+        figures.append(
+            page.figure(drawn, words, "measured and fitted responses", file=f"responses_run_{run + 1}")
+        )
+    return "Measured and fitted responses", *figures
+
+
+def add_sections(fit: KDFit, into: Page) -> None:
+    """Add the sections of a fit below its responses to a page, also that of a study, and its appendix."""
+    into.section("Modes", *_modes(fit))
+    into.section("Uncertainty of K and D", *budget_blocks(fit))
+    axes = [*_axes(fit), *_plane(fit)]
+    if axes:
+        into.appendix_section("Principal axes and plane of the ligament", *axes)
+    into.appendix_section("Is the model right?", *_causes(fit))
+
+
+def footplate_blocks(fit: KDFit) -> list[Markup]:
+    """Return the footplate with principal axes and the stiffness along its rim, where these are known."""
+    drawn, rim = footplate_figure(fit), rim_of(fit)
+    if drawn is None:
+        return []
+    title, caption = "Principal axes of K", "Red: principal axes of K (paper, Fig. 6)."
+    if rim is not None:
+        title = "Stiffness along the rim"
+        caption = (
+            f"{rim.sentence()} From K11, K12, K13, for springs normal to the footplate that vary linearly "
+            f"over it. {caption}"
+        )
+    alt = "The footplate, its principal axes and the stiffness along its rim."
+    return [page.figure(drawn, caption, alt, file="footplate", title=title)]
 
 
 def verdict_block(fit: KDFit) -> Markup:
@@ -95,32 +126,33 @@ def verdict_block(fit: KDFit) -> Markup:
 
 def matrices(fit: KDFit) -> list[Markup]:
     """Return K and D with their intervals."""
-    caption = f"{_ABOUT}; ± one standard deviation and, below it, the 95 % interval, all sources."
+    titles, values = ("Stiffness K", f"Damping D ({fit.law.formula})"), (fit.stiffness, fit.damping)
     blocks = []
-    for letter, title, value, sd in zip(
-        "KD",
-        ("Stiffness K", f"Damping D ({fit.law.formula})"),
-        (fit.stiffness, fit.damping),
-        fit.standard_deviation,
-        strict=True,
-    ):
+    for letter, title, value, sd in zip("KD", titles, values, fit.standard_deviation, strict=True):
         units = matrix_units(letter, fit.dof, fit.law.time_power)
-        blocks.append(page.matrix(fit.dof, value, sd, units, f"{letter} {caption}", title=title))
+        blocks.append(page.matrix(numbered(fit.dof), value, sd, units, title=title))
     return blocks
 
 
-def _responses(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
-    text = (
-        "The structure's motion at the footplate centre (dots) against the response of the fitted model "
-        "(line) to the measured base motion at the same point and to the load of other measured motion: "
-        "paper Eq. 8, Figs. 4 and 5. The band is what the uncertainty of K and D leaves open (95 %); "
-        "ripples of the line are noise of the base."
-    )
-    blocks, runs = [page.text(text)], [name for name in figures if name.startswith("responses")]
-    for name, run in zip(runs, fit.found.data.runs, strict=False):
-        caption = f"Run {run}." if len(runs) > 1 else ""
-        blocks.append(page.figure(figures[name], caption, "measured and simulated responses", file=name))
-    return blocks
+def numbered(dof: Sequence[str]) -> list[str]:
+    """Return degrees of freedom with the number that names entries: K11 is that of the first."""
+    return [f"{name} ({number})" for number, name in enumerate(dof, 1)]
+
+
+def _first_modes(fit: KDFit) -> list[Markup]:
+    """Return frequency and damping of the modes with their intervals."""
+    derived, pairs = fit.derived, fit.modes.pairs
+    if not pairs:
+        return []
+    cells = [
+        (
+            Quantity(mode.frequency_hz, float(derived.frequency_sd_hz[place]), HERTZ),
+            Quantity(mode.damping_ratio, float(derived.ratio_sd[place])),
+        )
+        for place, mode in enumerate(pairs)
+    ]
+    names = [f"mode {number}" for number in range(1, len(pairs) + 1)]
+    return [page.entries(names, ("frequency", "damping ratio"), cells, title="Modes")]
 
 
 def _modes(fit: KDFit) -> list[Markup]:
@@ -152,17 +184,14 @@ _AXES = (
 """Principal axes as people see them (`fitting.model.principal_axes`)."""
 
 
-def _axes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
+def _axes(fit: KDFit) -> list[Markup]:
     values, sds = fit.derived.axes, fit.derived.axes_sd
     if values is None or sds is None:
         return []
     numbers = zip(_AXES, values.tolist(), sds.tolist(), strict=True)
     rows = [(name, Quantity(value, sd, unit)) for (name, unit), value, sd in numbers]
     caption = "The point and the turn about y that uncouple piston and rocking (paper, Fig. 6); not eig(K)."
-    blocks = [
-        page.table(("", "principal axes of K"), rows, caption),
-        page.figure(figures["principal_axes"], "Origin and axes on the footplate.", "principal axes"),
-    ]
+    blocks = [page.table(("", "principal axes of K"), rows, caption)]
     ring = ring_of(fit)
     if ring is not None:
         near_x, near_z = ring.rocking_ratio
@@ -192,7 +221,7 @@ def _plane(fit: KDFit) -> list[Markup]:
     return [page.text(text)]
 
 
-def _causes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
+def _causes(fit: KDFit) -> list[Markup]:
     found, search, bands = fit.found, fit.search, fit.bands
     text = f"chi2 = {found.chi2:.1f} for {found.n_dof} degrees of freedom (p = {found.p_value:.2g}). "
     if search.best is not None:
@@ -202,7 +231,7 @@ def _causes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
         text += none if found.explained else "Nothing that was tried explains it. "
     if bands is not None:
         text += f"One K and one D over the whole band: p = {bands.p_value:.2g}; {bands.words()}."
-    blocks = [page.text(text)]
+    blocks = [page.table(("", ""), model_rows(fit), words=True), page.text(text)]
     if search.alternatives:
         rows = [
             (
@@ -217,16 +246,8 @@ def _causes(fit: KDFit, figures: Mapping[str, Figure]) -> list[Markup]:
         head = ("explanation", "size", "odds against none", "explains the data", "weight")
         caption = "Intervals of K and D are averaged over these explanations with their weights."
         blocks.append(page.table(head, rows, caption))
-    least = [
-        (score.unknown.title, Quantity(score.found_from), score.unknown.unit)
-        for score in search.scores
-        if not score.unknown.family and score.unknown.only is None
-    ]
-    if least:
-        table = page.table(("error that these data can reveal", "from", ""), least)
-        blocks.append(page.folded("From which size errors are found", table))
     caption = "No pattern (left) and a straight line (right) mean that the model holds."
-    blocks.append(page.figure(figures["residuals"], caption, "residuals", file="residuals"))
+    blocks.append(page.figure(residual_figure(fit), caption, "residuals", file="residuals"))
     if fit.laws:
         compared = [
             (name, one.law.formula, float(one.chi2), _YES[one.explained]) for name, one in fit.laws.items()
@@ -289,15 +310,3 @@ def budget_blocks(fit: KDFit) -> list[Markup]:
 def share_of(part: float, size: float) -> str:
     """Return a share in percent; a diagonal entry at its bound zero has none."""
     return f"{100.0 * part / size:.2g} %" if 0.0 < size < np.inf else "at its bound"
-
-
-def _identifiability(fit: KDFit) -> list[Markup]:
-    numbers = zip(fit.values, fit.sd, fit.bound, entries.sizes(fit.stiffness, fit.damping), strict=True)
-    rows = [
-        (name, determined(value, sd, share_of(sd, size)), share_of(bound, size))
-        for name, (value, sd, bound, size) in zip(fit.parameters, numbers, strict=True)
-    ]
-    caption = (
-        "Relative to sqrt(Xii Xjj). Bound: smallest sd of any unbiased estimator of this model (Cramer-Rao)."
-    )
-    return [page.table(("entry", "standard deviation", "bound"), rows, caption)]

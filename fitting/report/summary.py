@@ -33,14 +33,20 @@ def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
         rows.append((f"mode {number + 1}", f"{frequency}, damping ratio {damping}"))
     if not fit.modes.pairs:
         rows.append(("modes", "none oscillates"))
+    rim = rim_of(fit)
+    if rim is not None:
+        rows.append(("along the rim", rim.sentence()))
+    return [*rows, *model_rows(fit)]
+
+
+def model_rows(fit: KDFit) -> list[tuple[str, str]]:
+    """Return what follows from K and D, and whether the model holds."""
+    rows, derived = [], fit.derived
     if derived.axes is not None and derived.axes_sd is not None:
         x, z = (plus_minus(1e3 * derived.axes[k], 1e3 * float(derived.axes_sd[k])) for k in (0, 1))
         angle, angle_sd = np.degrees(derived.axes[2]), float(np.degrees(derived.axes_sd[2]))
         turn = "by an undetermined angle" if angle_sd > _ANY_TURN_DEG else f"{plus_minus(angle, angle_sd)}°"
         rows.append(("principal axes", f"origin x {x}, z {z} mm, turned {turn} about y"))
-    rim = rim_of(fit)
-    if rim is not None:
-        rows.append(("along the rim", rim.sentence()))
     yes = {True: "yes", False: "NO"}
     rows.append(("stable, passive", f"{yes[fit.modes.stable]}, {yes[all(fit.passive)]}"))
     ratio_text = f"{fit.found.level:.3f} ({fit.found.n_dof})" if fit.found.n_dof > 0 else "none left"

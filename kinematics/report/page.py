@@ -15,7 +15,7 @@ from stapeskit.report.quantities import Quantity, ShownUnit
 from stapeskit.warnings import VERDICTS, Notice, table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from markupsafe import Markup
 
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from stapeskit.report.page import Page
 
 _SENTENCES = {
-    "believe": "No warning calls for a check.",
-    "check": "Look at these warnings before the motion is used.",
-    "do not use": "A warning says that the motion is wrong as it stands.",
+    "believe": "no warning calls for a check",
+    "check": "look at these warnings before the motion is used",
+    "do not use": "a warning says that the motion is wrong as it stands",
 }
 _MOST_ROWS = 60  # of the table of verdicts
 _UNITS = {
@@ -49,16 +49,14 @@ def motion_page(result: MotionResult) -> Page:
     )
     made = page.Page(result.title, lead)
     level, reasons = verdict_of(result.notices)
-    made.add(
-        page.verdict(level, _SENTENCES[level], reasons),
-        page.table(("", ""), summary_rows(result), words=True),
-    )
-    made.add(page.viewer(motion_scene(result)))
+    made.add(page.verdict(level, _SENTENCES[level], reasons))
+    made.add(page.beside(page.table(("", ""), summary_rows(result), words=True), _motion(result)))
     some = f"the first {MOST_RUNS} of {len(motion.runs)} runs; " if len(motion.runs) > MOST_RUNS else ""
     caption = f"Amplitude and phase; {some}bands are 95 % of the channel noise."
     curves = page.figure(spectra_figure(motion), caption, "amplitude and phase over frequency", file="motion")
-    motion_sections(made, result)
     made.section("Amplitude and phase", curves)
+    made.section("The moving bodies", page.viewer(motion_scene(result)))
+    motion_sections(made, result)
     made.section("Warnings", page.notices(result.notices))
     made.appendix_section("Inputs", page.inputs(motion.provenance))
     return made
@@ -73,21 +71,16 @@ def verdict_of(notices: Sequence[Notice]) -> tuple[str, list[Notice]]:
 
 
 def motion_sections(made: Page, result: MotionResult) -> None:
-    """Append the sections of a motion to a page: motion, channels, residuals, registration."""
-    sections: dict[str, Callable[[MotionResult], list[Markup]]] = {
-        "Motion of the bodies": _motion,
-        "Channels and verdicts": _channels,
-        "Residuals of the channels": _residuals,
-        "From the vibrometer to the footplate": _registration,
-    }
-    for name, blocks in sections.items():
-        made.section(name, *blocks(result))
+    """Add the verdicts on channels, and the appendix on residuals and registration, to a page."""
+    made.section("Channels and verdicts", *_channels(result))
+    made.appendix_section("Motion and residuals", _motion(result), *_residuals(result))
+    made.appendix_section("From the vibrometer to the footplate", *_registration(result))
 
 
-def _motion(result: MotionResult) -> list[Markup]:
+def _motion(result: MotionResult) -> Markup:
     head = ("body", "motion", "rms", "noise (sd)", "shared errors (sd)", "unit", "largest source")
     rows = motion_rows(result)
-    return [page.table(head, rows, "Root mean square over all lines.", names=2)]
+    return page.table(head, rows, "Root mean square over all lines.", title="Motion of the bodies", names=2)
 
 
 def _channels(result: MotionResult) -> list[Markup]:
@@ -116,13 +109,10 @@ def _channels(result: MotionResult) -> list[Markup]:
 
 
 def _residuals(result: MotionResult) -> list[Markup]:
-    blocks = []
     shown = f" of run {result.motion.runs[0]}" if len(result.motion.runs) > 1 else ""
     caption = f"Residuals{shown} over their noise: 1 is noise alone. Names have the colour of the verdict."
-    blocks.append(
-        page.figure(residual_figure(result), caption, "residuals of every channel", file="residuals")
-    )
-    return [*blocks, page.folded("What would have been found", *_detectable(result))]
+    drawn = page.figure(residual_figure(result), caption, "residuals of every channel", file="residuals")
+    return [drawn, page.folded("What would have been found", *_detectable(result))]
 
 
 def _registration(result: MotionResult) -> list[Markup]:

@@ -12,9 +12,9 @@ PAGE_COLOURS: Mapping[str, str] = MappingProxyType(
 """Colours of the page and of verdicts on results."""
 
 BODY_COLOURS: Mapping[str, str] = MappingProxyType(
-    {"stapes": "#b06f12", "base": "#1b7581", "plate": "#64748b", "bone": "#9aa7b4"}
+    {"stapes": "#b06f12", "base": "#1b7581", "plate": "#1b7581"}
 )
-"""Colours of bodies in curves, tables and surfaces; other bodies have one of `OTHER_COLOURS`."""
+"""Colours of bodies in curves, tables and surfaces; the plate is what moves as base."""
 
 OTHER_COLOURS = ("#7a4fa3", "#3f7f4f", "#a33d6b", "#4d5d9c", "#8a6d1f", "#4d4d4d")
 

@@ -197,8 +197,10 @@ def _plain_ticks(axis: Axis, low: float, high: float, steps: Sequence[float]) ->
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
     powers = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
-    every = np.outer(powers, steps).ravel()
-    ticks = every[(every >= low) & (every <= high)].tolist()
+    ticks: list[float] = []
+    for some in (steps, (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)):
+        every = np.outer(powers, some).ravel()
+        ticks = ticks if len(ticks) > 1 else every[(every >= low) & (every <= high)].tolist()
     ticks = ticks[:: 1 + len(ticks) // 7]
     axis.set_major_locator(FixedLocator(ticks if len(ticks) > 1 else [low, high]))
     axis.set_minor_locator(NullLocator())

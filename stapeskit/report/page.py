@@ -7,7 +7,7 @@ text is escaped.
 Examples
 --------
 >>> from stapeskit.report import page
->>> shown = page.Page("An ear").add(page.verdict("believe", "No warning calls for a check."))
+>>> shown = page.Page("An ear").add(page.verdict("believe", "no warning speaks against it"))
 >>> section = shown.section("Stiffness K", page.matrix(("y",), [[1735.0]], [[19.0]]))
 >>> shown.appendix_section("Inputs", page.text("scan.tif")).folded
 True
@@ -46,6 +46,11 @@ _HERE = Path(__file__).parent
 _FEW_ROWS = 14
 # Matrices up to this size show the interval of each entry.
 _MOST_WITH_INTERVALS = 3
+PLUS_MINUS = (
+    "± is one standard deviation, the line below it the 95 % interval, by all known sources of error; grey "
+    "where it holds zero."
+)
+"""What the numbers of `matrix` and `entries` are, for the place where the first of them stands."""
 
 
 @dataclass
@@ -144,6 +149,11 @@ def code(words: str) -> Markup:
     return render("code", words)
 
 
+def note(words: str) -> Markup:
+    """Return a paragraph in small print: what the numbers below it mean."""
+    return render("note", words)
+
+
 def subheading(words: str) -> Markup:
     """Return a small heading within a section."""
     return render("subheading", words)
@@ -164,6 +174,7 @@ def table(
     rows: Iterable[Sequence[object]],
     caption: str = "",
     *,
+    title: str = "",
     words: bool = False,
     names: int = 1,
 ) -> Markup:
@@ -179,7 +190,7 @@ def table(
         Columns of names, aligned to the left.
     """
     shown = [[_cell(cell) for cell in row] for row in rows]
-    return render("table", list(head), shown, words, names, len(shown) <= _FEW_ROWS, caption)
+    return render("table", title, list(head), shown, words, names, len(shown) <= _FEW_ROWS, caption)
 
 
 def _cell(cell: object) -> object:
@@ -198,9 +209,8 @@ def matrix(
     caption: str = "",
     *,
     title: str = "",
-    interval_95_si: ArrayLike | None = None,
 ) -> Markup:
-    """Return a square matrix with ± and, where it is small, 95 % intervals; grey where these hold zero.
+    """Return a symmetric matrix with ± and, where it is small, 95 % intervals; grey where these hold zero.
 
     Parameters
     ----------
@@ -212,48 +222,62 @@ def matrix(
         Unit in which each entry is shown, of `quantities.matrix_units`.
     caption : str
         What it is, about which point, in which axes.
-    interval_95_si : array_like, (n, n, 2), optional
-        Limits of the 95 % intervals, SI, where they are not the value ± 1.96 standard deviations.
     """
     size = len(names)
     values = np.asarray(values_si, dtype=float).tolist()
     sds = np.full((size, size), np.nan) if sd_si is None else np.asarray(sd_si, dtype=float)
-    limits = None if interval_95_si is None else np.asarray(interval_95_si, dtype=float).tolist()
 
-    def cell(i: int, j: int) -> dict[str, str]:
+    def entry(i: int, j: int) -> Quantity:
         sd = None if np.isnan(sds[i, j]) else float(sds[i, j])
-        interval = None if limits is None else tuple(limits[i][j])
-        entry = Quantity(values[i][j], sd, PLAIN if units is None else units[i][j], interval)
-        ends = entry.limits
-        kind = "diagonal" if i == j else "open" if ends and ends[0] <= 0.0 <= ends[1] else ""
-        value, rest = _number_and_rest(entry)
-        shown = size <= _MOST_WITH_INTERVALS and sd != 0.0
-        return {"value": value, "rest": rest, "interval": entry.interval if shown else "", "kind": kind}
+        return Quantity(values[i][j], sd, PLAIN if units is None else units[i][j])
 
-    return render("matrix", title, names, [[cell(i, j) for j in range(size)] for i in range(size)], caption)
+    small = size <= _MOST_WITH_INTERVALS
+    cells = [[_entry(entry(i, j), small, signed=i != j) for j in range(size)] for i in range(size)]
+    for i in range(size):
+        cells[i][i]["kind"] = "diagonal"
+        for j in range(i):
+            cells[i][j] |= {"kind": f"below {cells[i][j]['kind']}", "rest": "", "interval": ""}
+    return render("entries", title, names, names, cells, caption)
 
 
-def _number_and_rest(entry: Quantity) -> tuple[str, str]:
-    """Return the number of a cell of a matrix, and the line below it: sd and unit."""
+def entries(
+    rows: Sequence[str], columns: Sequence[str], cells: Sequence[Sequence[Quantity]], *, title: str = ""
+) -> Markup:
+    """Return quantities (rows, columns), each with ± and its 95 % interval below it, as `matrix` has them."""
+    return render("entries", title, rows, columns, [[_entry(cell) for cell in row] for row in cells], "")
+
+
+def _entry(entry: Quantity, with_interval: bool = True, *, signed: bool = False) -> dict[str, str]:
+    """Return number, the line with sd and unit below it, and interval; ``open`` where that holds zero.
+
+    A value that has no sign and is below its standard deviation is undetermined.
+    """
     unit, value, sd = entry.unit, entry.unit.of(entry.value) + 0.0, entry.sd
     if value == 0.0 and not sd:
-        return "0", ""
+        return {"value": "0", "rest": "", "interval": "", "kind": ""}
     if sd is None or not entry.known_sd or sd == 0.0:
-        return f"{value:.4g}", unit.symbol
+        return {"value": f"{value:.4g}", "rest": unit.symbol, "interval": "", "kind": ""}
     text, _, spread = plus_minus(value, unit.of(sd)).partition(" ± ")
     if text.startswith("("):
         text, spread = f"{value:.4g}", f"{unit.of(sd):.2g}"
-    return text, f"± {spread} {unit.symbol}"
+    low, high = entry.limits or (np.nan, np.nan)
+    undetermined = not signed and sd > abs(entry.value)
+    return {
+        "value": "undetermined" if undetermined else text,
+        "rest": f"{text} ± {spread} {unit.symbol}" if undetermined else f"± {spread} {unit.symbol}",
+        "interval": entry.interval if with_interval else "",
+        "kind": "open" if low <= 0.0 <= high else "",
+    }
 
 
-def figure(drawing: Figure, caption: str, alt: str, *, file: str = "figure") -> Markup:
+def figure(drawing: Figure, caption: str, alt: str, *, file: str = "figure", title: str = "") -> Markup:
     """Embed a matplotlib figure with a button that saves it.
 
     ``alt`` says what it shows, for who cannot see it; ``file`` is the name of the saved file without ending.
     """
     from markupsafe import Markup
 
-    return render("figure", Markup(draw(drawing)), caption, alt, file)
+    return render("figure", title, Markup(draw(drawing)), caption, alt, file)
 
 
 def notices(found: Iterable[Notice], confirmed: Sequence[str] = ()) -> Markup:
@@ -283,11 +307,6 @@ def verdict(level: str, sentence: str, reasons: Iterable[Notice] = ()) -> Markup
         first, stop, rest = reason.text.partition(". ")
         listed.append({"code": reason.code, "first": first + stop.strip(), "rest": rest})
     return render("verdict", level, _css(level), sentence, listed)
-
-
-def cards(*groups: tuple[str, Sequence[Sequence[object]]]) -> Markup:
-    """Return the summary: groups of a title and rows of name and text or `Quantity`."""
-    return render("cards", groups)
 
 
 def inputs(provenance: Mapping[str, Any]) -> Markup:

@@ -78,7 +78,8 @@ def scene(faces=(40, 40)):
 def whole_page():
     shown = page.Page("an ear <1>", "Its mass & stiffness.")
     shown.add(page.verdict("check", "Look at these.", [Notice("a_code", "First. Then <more>.")]))
-    shown.add(page.cards(("Mass <x>", [("K(y)", Quantity(1735.0, 19.0, STIFFNESS)), ("x", "anterior", "&")])))
+    shown.add(page.note("<fine print>"), page.table(("", ""), [("x", "anterior &")], title="Mass <x>"))
+    shown.add(page.entries(("mode <1>",), ("K(y)",), [[Quantity(1735.0, 19.0, STIFFNESS)]], title="Modes"))
     shown.add(page.beside(*[page.matrix(DOF, K, K_SD, matrix_units("K", DOF), "About <it>.")] * 2))
     shown.add(page.viewer(scene()), page.viewer(scene()))
     rows = [("<i>a</i>", 1.5, Quantity(2e-3, 1e-4, LENGTH)), ("b", float("nan"), None)]
@@ -124,6 +125,8 @@ def test_every_text_is_escaped(html):
         "<of it>",
         "<text>",
         "<files>",
+        "<fine print>",
+        "<1>",
         "/script><b>",
     ):
         assert raw not in html
@@ -157,8 +160,16 @@ def test_a_matrix_shows_what_is_known():
 
 def test_entries_that_may_be_zero_are_marked():
     block = str(page.matrix(("y", "x"), [[5.0, 0.1], [0.1, 5.0]], np.full((2, 2), 0.2)))
-    assert block.count('class="open') == 2
+    assert block.count('open"') == 2
     assert block.count('class="diagonal"') == 2
+    assert block.count("±") == 3  # once for each pair of entries
+
+
+def test_a_value_without_a_sign_below_its_standard_deviation_is_undetermined():
+    block = str(page.matrix(("y", "x"), [[5.0, 0.1], [0.1, 5.0]], [[7.0, 0.2], [0.2, 1.0]]))
+    assert block.count("<b>undetermined</b>") == 1
+    modes = str(page.entries(("mode 1",), ("damping ratio",), [[Quantity(0.1, 0.2)]]))
+    assert "<b>undetermined</b>" in modes
 
 
 def test_a_figure_is_text_and_lines_and_many_points_are_an_image():
