@@ -17,7 +17,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     def of(*folders: str) -> list[pytest.Item]:
         return [item for item in items if set(folders) & set(item.path.parts)]
 
-    first, second = of("scan_files") + of("scenes", "study"), of("motion_files")
+    first, second = of("scan_files") + of("scenes", "study", "docs"), of("motion_files")
     placed = set(first + second)
     others = [item for item in items if item not in placed]
     middle = max(len(items) // 2 - len(first), 0)
