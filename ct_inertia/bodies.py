@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,10 @@ from ct_inertia.voxels.grid import Index as Index
 from ct_inertia.voxels.masks import Mask as Mask
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
+
+if TYPE_CHECKING:
+    from ct_inertia.frames.plate import PlaneFace
+    from ct_inertia.surface.surface import Surface
 
 STAPES, PLATE, OTHER_BONE = 1, 2, 3
 """Numbers of the bodies in label volumes, read and written; 0 is the background."""
@@ -286,6 +290,9 @@ class MeasuredBody:
         Of the stapes.
     wall : BodySurface or None
         Of other bone near the stapes: what faces the footplate's rim across the ligament.
+    plate : Surface or None
+    plate_faces : tuple of PlaneFace
+        Its plane faces, the largest first.
     evidence : mapping of str to JSON-able
         Levels, blur, noise, correlation, residual by place; for the report.
     notices : tuple of Notice
@@ -297,5 +304,7 @@ class MeasuredBody:
     moments: Moments
     surface: BodySurface
     wall: BodySurface | None
+    plate: Surface | None = None
+    plate_faces: tuple[PlaneFace, ...] = ()
     evidence: Mapping[str, Any] = field(default_factory=dict)
     notices: tuple[Notice, ...] = ()

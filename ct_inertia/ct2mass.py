@@ -20,6 +20,7 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.anatomy import AnatomyHints
 from ct_inertia.frames.footplate import FootplateFrame, footplate_frame, pose_near
 from ct_inertia.frames.footplate_sd import EXACT, SurfaceError
+from ct_inertia.frames.plate_frame import PlateFrame, plate_frame
 from ct_inertia.inputs import Inputs
 from ct_inertia.mass.properties import MassProperties, point_masses
 from ct_inertia.mass.scale import voxel_scale
@@ -38,7 +39,6 @@ from stapeskit.warnings import Notice, unique
 if TYPE_CHECKING:
     from ct_inertia.frames.fiducials import PlateFiducials
     from ct_inertia.frames.gap import WindowGap
-    from ct_inertia.frames.plate_frame import PlateFrame
     from ct_inertia.mass.calibration import Calibration
     from ct_inertia.scan.scan import Scan
     from stapeskit.command import Progress
@@ -131,14 +131,14 @@ def _measured(options: MassOptions, progress: Progress, inputs: Inputs) -> MassR
         moments = measured.moments
         frame_surface, error = _frame_surface(measured)
         body = moment_matched(measured.surface.field, moments, measured.surface.scan_from_index)
-        plate = _plate_surface(measured.labelled)
+        plate = measured.plate
     footplate = _footplate(work, frame_surface, error, moments)
-    plate_frame = _plate_frame(work, plate, moments)
+    pose = _plate_frame(work, moments)
     gap = None if work.measured is None else _gap(work.measured, footplate, frame_surface, error)
     progress("computing the mass matrix")
     ways = _ways(work, moments, footplate)
     sizes = measured_sizes(ways[0].body.volume_m3, ways[0].body.density_kg_m3, footplate)
-    work.notices += [*footplate.notices, *([] if plate_frame is None else plate_frame.notices)]
+    work.notices += [*footplate.notices, *([] if pose is None else pose.notices)]
     work.notices += [*not_stated(ways[0]), *disagreements(ways), *unusual_notice(sizes)]
     records = inputs.records()
     inputs.check()
@@ -146,7 +146,7 @@ def _measured(options: MassOptions, progress: Progress, inputs: Inputs) -> MassR
         options=options,
         matrix=ways[0].matrix,
         footplate=footplate,
-        plate_frame=plate_frame,
+        plate_frame=pose,
         stapes=body,
         plate=plate,
         moments=moments,
@@ -310,18 +310,6 @@ def _sampled(body: BodySurface) -> Callable[[Array], Array]:
     return at
 
 
-def _plate_surface(labelled: Labelled) -> Surface | None:
-    """Return the surface of the plate, half way between the levels of air and plastic around it."""
-    region = labelled.plate_region
-    if region is None:
-        return None
-    level = 0.0
-    if labelled.plastic is not None and not labelled.box.is_mask and region.plastic != 1.0:
-        middle = 0.5 * (labelled.air + labelled.plastic)
-        level = (middle - region.air) / (region.plastic - region.air) - 0.5
-    return contour(region.field, region.scan_from_index, level)
-
-
 def _footplate(work: _Work, surface: Surface, error: SurfaceError, moments: Moments) -> FootplateFrame:
     """Find the footplate; a body that cannot be a stapes is refused unless somebody named it."""
     named = work.measured is None or work.measured.labelled.named
@@ -346,18 +334,16 @@ def _footplate(work: _Work, surface: Surface, error: SurfaceError, moments: Mome
     return footplate
 
 
-def _plate_frame(work: _Work, plate: Surface | None, moments: Moments) -> PlateFrame | None:
+def _plate_frame(work: _Work, moments: Moments) -> PlateFrame | None:
     """Return the plate frame by fiducials, else by the faces of the plate; None, with a warning, without."""
     if work.fiducials is not None:
         from ct_inertia.frames.fiducials import plate_frame_from_fiducials
 
         return plate_frame_from_fiducials(work.fiducials, moments.centroid_mm)
-    if plate is not None:
-        from ct_inertia.frames.plate_frame import plate_frame
-
-        region = None if work.measured is None else work.measured.labelled.plate_region
+    if work.measured is not None and work.measured.plate is not None:
+        region = work.measured.labelled.plate_region
         cell = 0.0 if region is None else float(np.linalg.norm(region.scan_from_index[:3, 0]))
-        return plate_frame(plate, moments.centroid_mm, _PLATE_SHIFT * cell)
+        return plate_frame(work.measured.plate_faces, moments.centroid_mm, _PLATE_SHIFT * cell)
     if work.measured is not None:
         text = (
             "No plate was found beside the stapes: there is no plate frame, and no mass matrix in its axes. "

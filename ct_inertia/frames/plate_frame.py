@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.frames.plate import PlaneFace, jacobian, plane_faces
-from ct_inertia.surface.surface import Surface
+from ct_inertia.frames.plate import PlaneFace, jacobian
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform, axes_matrix, cross_matrix
@@ -80,12 +79,12 @@ class _Pose:
         return RigidTransform.from_parts(self.axes, self.origin, "scan", "plate")
 
 
-def plate_frame(plate: Surface, stapes_mm: Array, level_sd_mm: float = 0.0) -> PlateFrame:
-    """Find the frame of the plate from its surface.
+def plate_frame(faces: Sequence[PlaneFace], stapes_mm: Array, level_sd_mm: float = 0.0) -> PlateFrame:
+    """Find the frame of the plate from its plane faces.
 
     Parameters
     ----------
-    plate : Surface
+    faces : sequence of PlaneFace
     stapes_mm : ndarray, (3,)
         A point in the middle of the stapes, scan coordinates.
     level_sd_mm : float
@@ -96,8 +95,11 @@ def plate_frame(plate: Surface, stapes_mm: Array, level_sd_mm: float = 0.0) -> P
     StapeskitError
         The plate has no large plane face that looks towards the stapes.
     """
-    faces = plane_faces(plate)
-    main = _main_face(faces, stapes_mm)
+    main = main_face(faces, stapes_mm)
+    if main is None:
+        got = f"{len(faces)} faces, none of which is plane and has the stapes on its outer side"
+        expected = "a solid with a plane face towards the stapes"
+        raise StapeskitError.of("the plate", expected, got, next_step=_STEP)
     main = replace(main, covariance=main.covariance + np.diag([level_sd_mm**2, 0.0, 0.0]))
     sides = _sides([face for face in faces if face.point_mm is not main.point_mm], main)
     first = _pose(main, sides)
@@ -108,13 +110,13 @@ def plate_frame(plate: Surface, stapes_mm: Array, level_sd_mm: float = 0.0) -> P
     return PlateFrame(pose.transform, covariance, pose.corners, cropped, "faces", _notices(pose, sides))
 
 
-def _main_face(faces: Sequence[PlaneFace], stapes_mm: Array) -> PlaneFace:
+def main_face(faces: Sequence[PlaneFace], stapes_mm: Array) -> PlaneFace | None:
+    """Return the largest plane face of a plate that has a point of the stapes on its outer side."""
     for face in faces:
         flat = float(np.max(np.abs(np.linalg.eigvalsh(face.turning_1_mm)))) < _CURVED_1_MM
         if flat and not face.at_border and face.distance(stapes_mm[None, :])[0] > 0.0:
             return face
-    got = f"{len(faces)} faces, none of which is plane and has the stapes on its outer side"
-    raise StapeskitError.of("the plate", "a solid with a plane face towards the stapes", got, next_step=_STEP)
+    return None
 
 
 def _sides(faces: Sequence[PlaneFace], main: PlaneFace) -> list[PlaneFace]:

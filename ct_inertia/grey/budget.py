@@ -8,6 +8,7 @@ import numpy as np
 
 from ct_inertia.bodies import Moments
 from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.cells import mean_by_cells
 from ct_inertia.grey.media import USUAL_COAT, Media
 from ct_inertia.grey.moments import blur_covariance, by_octants, common, noise_covariance, octants
 from ct_inertia.grey.parts import StapesParts
@@ -21,6 +22,7 @@ _SOFT_SD = calibrated("media.soft_sd")
 _TAIL_SD = calibrated("separation.tail_sd")
 _CLEARLY = 12.0  # log-likelihood by which a coat that nobody stated must fit better: 1 in 160 000
 _LEAST_BEND = 0.1  # of noises: a surface that follows noise takes up to 0.03 of that in bone
+_CELL_VOXELS = 6  # edge of the cells whose means show how well the level of plastic is known
 _DEEP, _LEAST_DEEP = 0.95, 100  # share of bone, and independent voxels, that show its noise to 7 %
 
 
@@ -66,6 +68,8 @@ def amounts_of(parts: StapesParts, misfit: bool, unstated: Grey | None, bend: fl
     if parts.foreign.any():
         for tail in (parts.foreign, parts.behind):
             yield "separation", np.float32(_TAIL_SD) * tail, by_octants
+    for amount in plate_errors(parts):
+        yield "separation", amount, common
     if parts.soft.any():
         for spread in (common, by_octants):
             yield "surroundings", np.float32(_SOFT_SD / np.sqrt(2.0)) * parts.soft, spread
@@ -83,6 +87,27 @@ def amounts_of(parts: StapesParts, misfit: bool, unstated: Grey | None, bend: fl
     if bend:
         share = fit.shares["stapes"]
         yield "grey_scale", parts.where_own(np.float32(bend) * share * (1.0 - share)), common
+
+
+def plate_errors(parts: StapesParts) -> Iterator[Grey]:
+    """Yield one standard deviation of a dry plate's image on the stapes' side: by its height, by its level.
+
+    Notes
+    -----
+    The height is known to the noise next to the stapes, the level to the scatter of its means over cells
+    deep in the plate.
+    """
+    fit, plane = parts.fit, parts.fit.media.plane
+    if plane is None or plane.wets:
+        return
+    window, unit = fit.windows["plate"], 1.0 / parts.level.contrast
+    height = np.zeros_like(fit.data)
+    height[window] = plane.changes(fit)[0][0] * np.float32(plane.sd_mm * unit)
+    yield parts.where_own(height)
+    deep = fit.start.near & (fit.shares["plate"] > np.float32(_DEEP))
+    if np.count_nonzero(deep) > _LEAST_DEEP:
+        error = mean_by_cells(fit.residual[deep], np.argwhere(deep), _CELL_VOXELS)[1]
+        yield parts.where_own(fit.shares["plate"] * np.float32(error * unit))
 
 
 def grey_scale_bend(fit: SceneFit) -> float:

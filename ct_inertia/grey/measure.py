@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ct_inertia.bodies import Labelled, MeasuredBody, Scene
+from ct_inertia.frames.plate import plane_faces
+from ct_inertia.frames.plate_frame import main_face
 from ct_inertia.grey.border import border_contacts, border_covariance, border_notice
 from ct_inertia.grey.budget import amounts_of, grey_scale_bend, unstated_coat, with_sources
 from ct_inertia.grey.frame_surface import body_surface
@@ -12,6 +16,7 @@ from ct_inertia.grey.media import Coat, Media, coat_notice, media_notices, usual
 from ct_inertia.grey.misfit import misfit_notice, misfits
 from ct_inertia.grey.moments import effect, partial_volume_moments
 from ct_inertia.grey.parts import StapesParts
+from ct_inertia.grey.plate_plane import plate_surface
 from ct_inertia.grey.scene import SceneFit, fit_scene
 from ct_inertia.grey.separation import bone_border
 from ct_inertia.grey.start import start
@@ -33,11 +38,14 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
     StapeskitError
         Grey values whose levels storing left open, or that sum to no positive volume.
     """
+    plate = plate_surface(labelled)
+    faces = () if plate is None else tuple(plane_faces(plate))
     if labelled.box.is_mask:
         from ct_inertia.grey.mask import measure_mask
 
-        return measure_mask(labelled)
-    begin = start(labelled)
+        return replace(measure_mask(labelled), plate=plate, plate_faces=faces)
+    middle = labelled.box.scan_points(np.argwhere(labelled.stapes)[:, ::-1].mean(axis=0)[None])[0]
+    begin = start(labelled, main_face(faces, middle))
     storing = storing_around(labelled, begin)
     begin = begin if storing is None else storing.corrected(begin)
     fit = fit_scene(begin, Media.around(begin, coat), storing)
@@ -76,6 +84,8 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
         moments=moments,
         surface=body_surface(fit, "stapes", parts.level, around, float(np.sqrt(misfit))),
         wall=body_surface(fit, "other", parts.level) if "other" in fit.bodies else None,
+        plate=plate,
+        plate_faces=faces,
         evidence={
             "noise_correlation": begin.correlation,
             "rounds": len(fit.slopes),

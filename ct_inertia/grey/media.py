@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.grey.plate_plane import FacePlane, beside_stapes, flat_face
+from ct_inertia.grey.plate_plane import FacePlane, beside_stapes
 from ct_inertia.grey.start import Start
 from ct_inertia.voxels.distance import capped_distance
 from ct_inertia.voxels.fields import Grey, blur, local_ratio, share_above
@@ -18,6 +18,7 @@ from stapeskit.warnings import Notice
 if TYPE_CHECKING:
     from ct_inertia.grey.scene import SceneFit, Window
 
+_STILL_VOXELS = 2e-3  # of the plane of a plate from round to round: a tenth of what noise leaves
 _LEAST_VOID = 12  # voxels of a closed void; fewer are noise
 _DENSEST = 0.85  # of bone's contrast: what is denser is bone
 _MEDIUM_SIGMAS = 2.0  # widths of the blur over which a medium is averaged
@@ -91,9 +92,8 @@ class Media:
     @classmethod
     def around(cls, start: Start, coat: Coat | None) -> Media:
         """Look for closed hollows, and for plastic that touches the stapes."""
-        touching, plane = None, None
+        touching, plane = None, start.face
         if "plate" in start.masks:
-            plane = flat_face(start)
             gap = start.distances["plate"] + start.distances["stapes"]
             meet = gap < np.float32(_MEETING_VOXELS * start.spacing.max())
             if plane is None and meet.any():
@@ -115,13 +115,19 @@ class Media:
         """
         body = share_above(field, fit.side("plate")[window])
         if self.plane is not None:
-            depth = self.plane.depth(field.shape, fit.start.spacing, tuple(part.start for part in window))
-            behind = np.clip(depth * np.float32(1.0 / fit.start.spacing.mean()) + np.float32(0.5), 0.0, 1.0)
-            body = np.where(beside_stapes(fit.start, window, fit.sigma_mm), behind, body)
+            behind = self.plane.share(field.shape, tuple(part.start for part in window))
+            body = np.where(beside_stapes(fit.start, window), behind, body)
         elif self.touching is not None:
             body = np.where(self.touching[window], np.float32(1.0), body)
         bones = [fit.bodies[name][window] for name in fit.names if name != "plate"]
         return np.minimum(body, np.float32(1.0) - np.maximum.reduce(bones))
+
+    def refine(self, fit: SceneFit) -> bool:
+        """Fit the plane of a plate to what the scene leaves next to the stapes; return whether it rests."""
+        if self.plane is None:
+            return True
+        before, self.plane = self.plane, self.plane.refined(fit)
+        return abs(self.plane.offset_mm - before.offset_mm) < _STILL_VOXELS * float(fit.start.spacing.min())
 
     def soft_image(self, fit: SceneFit) -> Grey:
         """Return the grey values of the soft medium alone, where bodies leave room for it."""

@@ -48,6 +48,9 @@ class StapesParts:
     def of(cls, fit: SceneFit) -> StapesParts:
         """Subtract everything that is not the stapes, and choose its level."""
         own, others, zero = fit.own, fit.bones(but="stapes"), np.float32(0.0)
+        tails = others
+        if fit.media.plane is not None and not fit.media.plane.wets:
+            tails = others - np.float32(fit.contrasts["plate"]) * fit.shares["plate"]
         left = fit.data - others - fit.media.image
         level = bone_level(fit, left * np.float32(1.0 / fit.contrasts["stapes"]))
         unit = np.float32(1.0 / level.contrast)
@@ -55,7 +58,7 @@ class StapesParts:
             fit=fit,
             level=level,
             own=own,
-            foreign=np.where(own, others * unit, zero),
+            foreign=np.where(own, tails * unit, zero),
             behind=np.where(fit.start.within_reach & ~own, fit.shares["stapes"], zero),
             excess=left * unit,
             residual=fit.residual * unit,

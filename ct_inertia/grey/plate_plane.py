@@ -1,25 +1,34 @@
-"""Fit a plane to the face of the plate near the stapes; a face that is not flat belongs to a fluid."""
+"""The plane face of the plate under the stapes: from the plate's surface, then as the grey values there ask.
+
+Bone that stands on a plate, or sinks into its glue, leaves no air that would show where plastic ends. Its
+plane does: plastic is subtracted as a known background there, whoever is nearer.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ct_inertia.calibrated import calibrated
-from ct_inertia.grey.start import Start
-from ct_inertia.voxels.fields import Grey, smooth
-from ct_inertia.voxels.masks import Mask, used_box, widened
+from ct_inertia.bodies import Labelled
+from ct_inertia.frames.plate import PlaneFace
+from ct_inertia.surface.contour import contour
+from ct_inertia.surface.surface import Surface
+from ct_inertia.voxels.fields import Grey, blur
+from ct_inertia.voxels.grid import Grid
+from ct_inertia.voxels.masks import Mask
 from stapeskit.arrays import Array
 
-_MARGIN_MM = 0.3  # around the box of the stapes in which the face is looked at
-_LEAST_POINTS = 300  # crossings of the half level: the plane's height is known to 0.05 of a voxel's noise
-_MOST_POINTS = 20_000
-_TRIALS = 100  # planes through three points: with half of the points on one face all fail with 1e-6
-_WITHIN_VOXELS = 0.7  # of the plane: scatter of crossings by the grid
-_ROUNDS = 12  # of the fit to the points near the plane
-_FLATNESS = calibrated("plate_plane.least_flatness")
-_CONTACT_SIGMAS = 2.0  # widths of the blur around the plate's mask in which its body follows the plane
+if TYPE_CHECKING:
+    from ct_inertia.grey.scene import SceneFit
+    from ct_inertia.grey.start import Start
+
+_LEAST_MM2 = 0.5  # of a plate's face: a fluid that is taken for a plate has smaller ones
+_MOST_SUNK = 0.15  # of the stapes behind the plane: what covers more of it is a fluid
+_ABOUT_SIGMAS = 2.0  # widths of the blur around the plate's mask in which its body follows the plane
+_LEAST_VOXELS = 100  # that show the plane next to the stapes
+_CLEAR = 0.3  # share of the stapes in a voxel from which it says nothing about the plane
 
 
 @dataclass(frozen=True)
@@ -32,98 +41,128 @@ class FacePlane:
         Along z, y, x; unit in mm; from air into plastic.
     offset_mm : float
         The face is ``normal . r = offset``, r from the middle of voxel 0, 0, 0.
+    spacing : ndarray, (3,)
+        Edges of a voxel along z, y, x, mm.
     wets : bool
-        The stapes lies behind it: the far side of a fluid, for a plate faces the stapes.
+        Much of the stapes lies behind it: a fluid.
+    sd_mm : float
+        Standard deviation of its height by the noise of the grey values.
     """
 
     normal: Array
     offset_mm: float
+    spacing: Array
     wets: bool = False
+    sd_mm: float = 0.0
 
-    def depth(self, shape: tuple[int, ...], spacing: Array, start: tuple[int, ...]) -> Grey:
+    @classmethod
+    def of(cls, face: PlaneFace | None, stapes: Mask, grid: Grid) -> FacePlane | None:
+        """Return the plane of a plate's face on a grid; None without one.
+
+        Parameters
+        ----------
+        face : PlaneFace or None
+            In scan coordinates.
+        stapes : ndarray of bool, [z, y, x]
+            On the grid.
+        grid : Grid
+        """
+        if face is None or face.area_mm2 < _LEAST_MM2:
+            return None
+        axes = grid.scan_from_index[:3, :3] / grid.spacing_mm
+        away = face.point_mm - grid.scan_from_index[:3, 3]
+        offset = -float(face.normal @ away)
+        plane = cls(-(axes.T @ face.normal)[::-1], offset, grid.spacing_mm[::-1])
+        sunk = float(np.mean(plane.depth(stapes.shape)[stapes] > 0.0))
+        return replace(plane, wets=sunk > _MOST_SUNK)
+
+    def depth(self, shape: tuple[int, ...], start: tuple[int, ...] = (0, 0, 0)) -> Grey:
         """Return the depth below the face, mm, positive in plastic, in a window that begins at ``start``."""
         z, y, x = (
             (np.arange(n) + first) * edge * part
-            for n, first, edge, part in zip(shape, start, spacing, self.normal, strict=True)
+            for n, first, edge, part in zip(shape, start, self.spacing, self.normal, strict=True)
         )
         return (z[:, None, None] + y[:, None] + x - self.offset_mm).astype(np.float32)
 
+    def share(self, shape: tuple[int, ...], start: tuple[int, ...]) -> Grey:
+        """Return the share of each voxel below the face."""
+        depth = self.depth(shape, start) * np.float32(1.0 / self.spacing.mean())
+        return np.clip(depth + np.float32(0.5), 0.0, 1.0)
 
-def flat_face(start: Start) -> FacePlane | None:
-    """Fit a plane to the face of the plate where only air is near; None where too little of it is flat.
+    def refined(self, fit: SceneFit) -> FacePlane:
+        """Move and tilt the plane by a step of Gauss and Newton to the least residual next to the stapes."""
+        window = fit.windows["plate"]
+        changes, basis, middle = self.changes(fit)
+        clear = fit.start.near[window] & (fit.shares["stapes"][window] < np.float32(_CLEAR))
+        clear &= changes[0] > np.float32(1e-3 * float(changes[0].max()))
+        rows = np.stack([change[clear] for change in changes]).astype(float)
+        residual = fit.residual[window][clear].astype(float)
+        squares = rows @ rows.T
+        if rows.shape[1] < _LEAST_VOXELS or np.linalg.cond(squares) > 1e12:
+            return self
+        most = float(self.spacing.min())
+        step = np.clip(np.linalg.solve(squares, rows @ residual), -most, most)
+        normal = self.normal + basis.T @ step[1:]
+        length = float(np.linalg.norm(normal))
+        offset = self.offset_mm - step[0] + float(basis.T @ step[1:] @ middle)
+        sd = fit.start.noise * float(np.sqrt(fit.start.correlation * np.linalg.inv(squares)[0, 0]))
+        return replace(self, normal=normal / length, offset_mm=offset / length, sd_mm=sd)
 
-    Notes
-    -----
-    Linear crossings of the half level between plastic and air. The best of planes through three of them is
-    refined on those within 0.7 voxels or three median deviations.
-    """
-    points = _crossings(start)
-    if len(points) < _LEAST_POINTS:
+    def changes(self, fit: SceneFit) -> tuple[Grey, Array, Array]:
+        """Return how the plate's image changes with height and tilts of the plane.
+
+        Returns
+        -------
+        changes : ndarray of float32, (3, z, y, x)
+            Grey values per mm of height and per rad of two tilts, in the window of the plate.
+        basis : ndarray, (2, 3)
+            Directions z, y, x along which the tilted plane rises.
+        middle : ndarray, (3,)
+            Point z, y, x, mm, about which it tilts.
+
+        Notes
+        -----
+        A height a + b u + c v of the face adds a layer of that thickness where no bone is, blurred.
+        """
+        window, start = fit.windows["plate"], fit.start
+        first = tuple(part.start for part in window)
+        edge = float(self.spacing.mean())
+        bones = np.maximum.reduce([fit.bodies[name][window] for name in fit.names if name != "plate"])
+        depth = self.depth(bones.shape, first)
+        layer = (beside_stapes(start, window) & (np.abs(depth) < np.float32(0.5 * edge))) * (1.0 - bones)
+        layer = (layer * np.float32(fit.contrasts["plate"] / edge)).astype(np.float32)
+        basis = np.linalg.svd(self.normal[None])[2][1:]
+        places = [(np.arange(n) + f) * h for n, f, h in zip(layer.shape, first, self.spacing, strict=True)]
+        total = max(float(layer.sum(dtype=float)), 1e-30)
+        middle = np.array(
+            [
+                layer.sum(axis=tuple(k for k in range(3) if k != axis), dtype=float) @ place / total
+                for axis, place in enumerate(places)
+            ]
+        )
+        z, y, x = (place - centre for place, centre in zip(places, middle, strict=True))
+        changes = [blur(layer, fit.spread_mm2, self.spacing)]
+        for along in basis:
+            height = ((along[0] * z)[:, None, None] + (along[1] * y)[:, None] + along[2] * x).astype(
+                np.float32
+            )
+            changes.append(blur(layer * height, fit.spread_mm2, self.spacing))
+        return np.stack(changes), basis, middle
+
+
+def plate_surface(labelled: Labelled) -> Surface | None:
+    """Return the surface of the plate, half way between the levels of air and plastic around it."""
+    region = labelled.plate_region
+    if region is None:
         return None
-    generator = np.random.default_rng(0)
-    points = points[generator.permutation(len(points))[:_MOST_POINTS]]
-    reach = _WITHIN_VOXELS * float(start.spacing.mean())
-    few = points[:2000]
-    corners = few[[generator.choice(len(few), 3, replace=False) for _ in range(_TRIALS)]]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    corners, normals = corners[length[:, 0] > 1e-9], (normals / np.maximum(length, 1e-9))[length[:, 0] > 1e-9]
-    if len(normals) == 0:
-        return None
-    away = np.abs(few @ normals.T - np.sum(normals * corners[:, 0], axis=1))
-    best = int(np.argmax(np.count_nonzero(away < reach, axis=0)))
-    normal, away, within = normals[best], (points - corners[best, 0]) @ normals[best], reach
-    for _ in range(_ROUNDS):
-        near = np.abs(away) < within
-        if np.count_nonzero(near) < _LEAST_POINTS // 3:
-            return None
-        middle = points[near].mean(axis=0)
-        normal = np.linalg.svd(points[near] - middle, full_matrices=False)[2][2]
-        away = (points - middle) @ normal
-        spread = 3.0 * 1.4826 * float(np.median(np.abs(away[np.abs(away) < reach])))
-        within = float(np.clip(spread, 0.02 * reach, reach))
-    if np.mean(np.abs(away) < reach) < _FLATNESS:
-        return None
-    offset = float(middle @ normal)
-    plastic, stapes = (
-        float(np.median(np.argwhere(start.masks[name])[::97] * start.spacing @ normal)) - offset
-        for name in ("plate", "stapes")
-    )
-    sign = -1.0 if plastic < 0.0 else 1.0
-    return FacePlane(sign * normal, sign * offset, wets=plastic * stapes > 0.0)
+    level = 0.0
+    if labelled.plastic is not None and not labelled.box.is_mask and region.plastic != 1.0:
+        middle = 0.5 * (labelled.air + labelled.plastic)
+        level = (middle - region.air) / (region.plastic - region.air) - 0.5
+    return contour(region.field, region.scan_from_index, level)
 
 
-def beside_stapes(start: Start, window: tuple[slice, ...], sigma_mm: float) -> Mask:
+def beside_stapes(start: Start, window: tuple[slice, ...]) -> Mask:
     """Return where the plate's body follows its plane: near the stapes, and near the plate's own mask."""
-    wide = np.float32(_CONTACT_SIGMAS * sigma_mm + 2.0 * start.spacing.max())
+    wide = np.float32(_ABOUT_SIGMAS * start.sigma_mm + 2.0 * start.spacing.max())
     return np.asarray(start.within_reach[window] & (start.distances["plate"][window] <= wide))
-
-
-def _crossings(start: Start) -> Array:
-    """Return places (n, 3) along z, y, x, mm, at which plastic turns to air towards the stapes.
-
-    The half level between the two, linear between voxels, on the box of the stapes and a margin.
-    """
-    half = (start.grey - np.float32(start.air)) * np.float32(1.0 / start.contrasts["plate"]) - np.float32(0.5)
-    free = start.distances["plate"] < np.float32(3.0 * start.spacing.max())
-    for name in start.masks:
-        if name != "plate":
-            free &= start.distances[name] > np.float32(start.reach_mm)
-    used = used_box(start.masks["stapes"]) or (slice(0, 1),) * 3
-    middle = [0.5 * (part.start + part.stop) for part in used]
-    wide = widened(used, np.ceil(_MARGIN_MM / start.spacing))
-    first = np.array([part.start for part in wide])
-    calm = np.clip(8.0 * start.noise / start.contrasts["plate"], 0.5, 1.5)
-    half, free = smooth(np.ascontiguousarray(half[wide]), np.full(3, calm)), free[wide]
-    places = []
-    for axis in range(3):
-        values, good = np.moveaxis(half, axis, 0), np.moveaxis(free, axis, 0)
-        low, high = values[:-1], values[1:]
-        index = np.argwhere((low * high < 0.0) & good[:-1] & good[1:])
-        at = tuple(index.T)
-        place = index.astype(float)
-        place[:, 0] += low[at] / (low[at] - high[at])
-        place = np.insert(place[:, 1:], axis, place[:, 0], axis=1) + first
-        facing = np.where(low[at] > 0.0, 1.0, -1.0) * (middle[axis] - place[:, axis]) > 0.0
-        places.append(place[facing])
-    return np.concatenate(places) * start.spacing

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.media import Media
 from ct_inertia.grey.moments import COLUMNS, ROWS, symmetric
+from ct_inertia.grey.plate_plane import beside_stapes
 from ct_inertia.grey.start import Start
 from ct_inertia.grey.storing import Storing
 from ct_inertia.voxels.fields import Grey, blur, local_ratio, share_above, smooth
@@ -168,7 +169,8 @@ def _fitted(start: Start, media: Media, storing: Storing | None, spread_mm2: Arr
             _place_surface(fit, name, calm)
         fit.media.follow(fit, turn in _MEDIA_ROUNDS)
         _compare(fit)
-        settled = _adjust_contrasts(fit)
+        rests = turn > 0 and fit.media.refine(fit)
+        settled = _adjust_contrasts(fit) and rests
         if turn in _BLUR_ROUNDS:
             sharp = _adjust_blur(fit, turn >= _LEAST_ROUNDS)
             if fit.uneven and not uneven:
@@ -219,7 +221,10 @@ def _adjust_contrasts(fit: SceneFit) -> bool:
     """Scale contrasts by data over model deep inside; return whether the stapes' is settled."""
     for name in fit.names:
         window = fit.windows[name]
-        inner = (fit.start.near & fit.side(name))[window] & (fit.shares[name][window] > np.float32(_INNER))
+        inner = (fit.start.near & fit.side(name))[window]
+        if name == "plate" and fit.media.plane is not None:
+            inner = beside_stapes(fit.start, window)  # where its body follows the plane, not the noise
+        inner &= fit.shares[name][window] > np.float32(_INNER)
         if np.count_nonzero(inner) < (_LEAST_PLASTIC if name == "plate" else _LEAST_INNER):
             continue
         data, model = fit.data[window][inner], fit.model[window][inner]

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import Grid, Labelled
+from ct_inertia.frames.plate import PlaneFace
 from ct_inertia.grey.cells import cell_numbers, mean_by_cells, noise_correlation, robust_mean
+from ct_inertia.grey.plate_plane import FacePlane
 from ct_inertia.voxels.distance import capped_distance
 from ct_inertia.voxels.fields import Grey, smooth
 from ct_inertia.voxels.flood import flood
@@ -28,6 +30,7 @@ _LEAST_AIR = 400  # voxels of air from which a mean is taken: its noise is 5 % o
 _CELL_VOXELS, _LEAST_CELL = 8, 30  # edge of the cells that are compared, and voxels of one that counts
 _NO_NOISE = 5.0  # standard deviations that 3 of ten million means exceed by chance
 _LEAST_DEEP = 12  # voxels of pure bone whose median is a level
+_OVER_PLATE_SIGMAS = 2.5  # widths of the blur up to which plastic is only subtracted, whoever is nearer
 _SAME_BONE = 0.05  # other bone whose contrast is nearer to the stapes' than this counts as the same bone
 
 
@@ -55,6 +58,8 @@ class Start:
     air, noise, air_sd, correlation : float
     contrasts : mapping of str to float
     sigma_mm : float
+    face : FacePlane or None
+        The face of a plate near the stapes; None without a plate that has one.
     """
 
     part: Slices
@@ -72,6 +77,7 @@ class Start:
     correlation: float
     contrasts: dict[str, float]
     sigma_mm: float
+    face: FacePlane | None = None
 
     @property
     def spacing(self) -> Array:
@@ -84,11 +90,12 @@ class Start:
         return np.asarray(self.distances["stapes"] <= np.float32(self.reach_mm))
 
 
-def start(labelled: Labelled) -> Start:
+def start(labelled: Labelled, plate_face: PlaneFace | None = None) -> Start:
     """Measure air, noise and blur around the labelled stapes, and give each voxel to a body."""
     box = labelled.box
     sigma = first_sigma(labelled)
-    reach = REACH_SIGMAS * sigma + float(box.spacing_mm.max())
+    edge = float(box.spacing_mm.max())
+    reach = REACH_SIGMAS * sigma + edge
     cap = NEAR_REACHES * reach
     part = _around(labelled.stapes, cap, box.spacing_mm[::-1])
     grey = np.ascontiguousarray(box.grey[part])
@@ -104,6 +111,11 @@ def start(labelled: Labelled) -> Start:
         air, noise = robust_mean(grey[far])
         air_sd = mean_by_cells(grey[far], np.argwhere(far), 16)[1]
     beside = {name: mask for name, mask in masks.items() if np.any(near & (distances[name] < reach))}
+    face = FacePlane.of(plate_face, masks["stapes"], box.part(part)) if "plate" in beside else None
+    basin = _basins(grey, beside, distances, reach, sigma)
+    if face is not None and not face.wets:
+        near_plate = basin == 1 + list(beside).index("plate")
+        basin[near_plate & (distances["stapes"] < np.float32(_OVER_PLATE_SIGMAS * sigma + edge))] = 1
     calm = far & (np.abs(grey - np.float32(air)) < 5.0 * noise)
     return Start(
         part=part,
@@ -112,7 +124,7 @@ def start(labelled: Labelled) -> Start:
         masks=beside,
         distances={name: distances[name] for name in beside},
         reach_mm=reach,
-        basin=_basins(grey, beside, distances, reach, sigma),
+        basin=basin,
         near=near,
         far=far,
         air=air,
@@ -121,6 +133,7 @@ def start(labelled: Labelled) -> Start:
         correlation=noise_correlation(np.where(far, grey - np.float32(air), np.float32(0.0)), calm),
         contrasts=_contrasts(labelled, grey, beside, air),
         sigma_mm=sigma,
+        face=face,
     )
 
 

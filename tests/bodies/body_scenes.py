@@ -7,6 +7,7 @@ import numpy as np
 from scipy.special import erf
 
 from ct_inertia.bodies import Box, Cells, Labelled, Separation
+from ct_inertia.find.plate import drawn_plate
 from ct_inertia.scan.scan import Scan
 from simulate.ear import Ear
 from simulate.scanner import Scan as Scanner
@@ -98,7 +99,7 @@ def labelled(grey, spacing, stapes, other=None, plate=None, plastic=None, noise=
         other=nothing if other is None else other,
         plate=nothing if plate is None else plate,
         cells=Cells(np.zeros(box.shape, dtype=np.uint8), box),
-        plate_region=None,
+        plate_region=None if plate is None else drawn_plate(plate, box),
         air=AIR,
         bone=BONE,
         plastic=plastic,

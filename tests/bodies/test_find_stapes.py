@@ -13,11 +13,15 @@ from ct_inertia.find.necks import find_necks
 from ct_inertia.find.overview import look_at, noise_of
 from ct_inertia.find.pieces import count_holes, label_pieces
 from ct_inertia.find.split import grid_edge
+from ct_inertia.frames.footplate import footplate_frame
 from ct_inertia.grey.measure import measure
 from ct_inertia.scan.scan import Scan
+from ct_inertia.surface.contour import contour
 from ct_inertia.voxels.distance import capped_distance
 from ct_inertia.voxels.grid import Grid
+from simulate import Stapes
 from stapeskit.faults import StapeskitError
+from stapeskit.registration import displacement
 from tests.bodies.body_scenes import AIR, BONE, ear, true_moments
 
 ALONE = {"bone": False, "plate": False}
@@ -40,6 +44,21 @@ def test_ears_are_measured_within_the_stated_deviation(name):
     assert off < max(4.0 * found.volume_sd_mm3, 5e-4 * exact.volume_mm3)
     assert found.volume_sd_mm3 < 0.01 * exact.volume_mm3
     assert np.linalg.norm(found.centroid_mm - exact.centroid_mm) < 5e-3
+
+
+@pytest.mark.parametrize("gap_mm", [-0.08, 0.0])
+def test_a_stapes_on_a_plate_or_sunk_into_it_is_measured_as_one_in_air(gap_mm):
+    stapes = Stapes(family="foreign base", seed=1503)
+    scan, placed = ear(50.0, seed=503, stapes=stapes, bone=False, plate_gap_mm=gap_mm)
+    found, exact = measure(find_stapes(scan)), true_moments(placed)
+    off = abs(found.moments.volume_mm3 - exact.volume_mm3)
+    assert off < 3.5 * found.moments.volume_sd_mm3
+    assert found.moments.volume_sd_mm3 < 3e-3 * exact.volume_mm3
+    frame = footplate_frame(contour(found.surface.field, found.surface.scan_from_index))
+    step = displacement(placed.scan_from_footplate, frame.scan_from_footplate)
+    turned = abs(frame.scan_from_footplate.rotation[:, 1] @ placed.scan_from_footplate.rotation[:, 1])
+    assert np.linalg.norm(step[:3]) < 4e-6
+    assert turned > np.cos(4e-3)
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.5])

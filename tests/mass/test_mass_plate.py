@@ -10,6 +10,7 @@ import pytest
 from ct_inertia.frames.fiducials import PlateFiducials, plate_frame_from_fiducials, read_plate_fiducials
 from ct_inertia.frames.footplate import footplate_frame
 from ct_inertia.frames.gap import window_gap
+from ct_inertia.frames.plate import plane_faces
 from ct_inertia.frames.plate_frame import PlateFrame, plate_frame
 from ct_inertia.surface.contour import contour
 from ct_inertia.surface.fields import refined
@@ -38,7 +39,7 @@ def codes(frame: PlateFrame) -> set[str]:
 def test_the_axes_are_those_of_the_convention(turn_deg: float) -> None:
     turn = rotation_from_vector([0.0, np.radians(turn_deg), 0.0])
     pose = POSE @ RigidTransform.from_parts(turn, np.zeros(3), "plate", "plate")
-    frame = plate_frame(slab(4.4, 3.0, pose), STAPES)
+    frame = plate_frame(plane_faces(slab(4.4, 3.0, pose)), STAPES)
     found = frame.scan_from_plate
     np.testing.assert_allclose(found.translation_mm, POSE.translation_mm, atol=1e-5)
     np.testing.assert_allclose(found.rotation[:, 1], POSE.rotation[:, 1], atol=1e-6)
@@ -50,21 +51,21 @@ def test_the_axes_are_those_of_the_convention(turn_deg: float) -> None:
 
 def test_the_stapes_says_which_face_it_is() -> None:
     below = POSE.points([0.2, -2.0, 0.1])
-    frame = plate_frame(slab(4.4, 3.0), below).scan_from_plate
+    frame = plate_frame(plane_faces(slab(4.4, 3.0)), below).scan_from_plate
     np.testing.assert_allclose(frame.rotation[:, 1], -POSE.rotation[:, 1], atol=1e-6)
     np.testing.assert_allclose(frame.translation_mm, POSE.points([0.0, -0.5, 0.0]), atol=1e-5)
 
 
 def test_edges_of_one_length_are_reported_as_ambiguous() -> None:
-    assert "plate_axis_ambiguous" in codes(plate_frame(slab(3.0, 2.9), STAPES))
-    assert "plate_axis_ambiguous" not in codes(plate_frame(slab(3.0, 2.8), STAPES))
+    assert "plate_axis_ambiguous" in codes(plate_frame(plane_faces(slab(3.0, 2.9)), STAPES))
+    assert "plate_axis_ambiguous" not in codes(plate_frame(plane_faces(slab(3.0, 2.8)), STAPES))
 
 
 def test_a_plate_that_the_scan_crops_is_reported() -> None:
     solid = slab(4.4, 3.0)
     local = POSE.inverse().points(solid.vertices_mm)
     cropped = Surface(solid.vertices_mm, solid.faces, np.abs(local[:, 2] - 1.5) < 1e-6)
-    frame = plate_frame(cropped, STAPES)
+    frame = plate_frame(plane_faces(cropped), STAPES)
     assert frame.cropped
     assert "plate_cropped" in codes(frame)
 
@@ -74,7 +75,7 @@ def test_a_ball_is_no_plate() -> None:
 
     ball = ellipsoid([0.0, 0.0, 0.0], [1.0, 1.0, 1.0])
     with pytest.raises(StapeskitError) as error:
-        plate_frame(Surface(ball.vertices_mm, ball.faces), np.array([0.0, 3.0, 0.0]))
+        plate_frame(plane_faces(Surface(ball.vertices_mm, ball.faces)), np.array([0.0, 3.0, 0.0]))
     assert error.value.faults[0].thing == "the plate"
 
 
@@ -90,7 +91,7 @@ def test_the_plate_of_a_scan_is_found_below_two_micrometres(voxel_um: float) -> 
     field = gaussian_filter(gaussian_filter(share, 1.2) + noise, 0.7).astype(np.float32) - np.float32(0.5)
     transform = np.eye(4)
     transform[:3, :3] *= placed.voxel_mm
-    frame = plate_frame(contour(field, transform), truth.centre_of_mass_in_scan_mm)
+    frame = plate_frame(plane_faces(contour(field, transform)), truth.centre_of_mass_in_scan_mm)
     step = displacement(truth.scan_from_plate, frame.scan_from_plate)
     sd = np.sqrt(np.diag(frame.covariance))
     assert np.all(np.abs(step) < 4.5 * sd + np.array([2e-7] * 3 + [2e-5] * 3))
