@@ -49,7 +49,7 @@ def work(words: list[str]) -> Outcome | None:
         step = "Name a study, or make one for the files of this folder with stapeskit new"
         raise StapeskitError.of("this folder", "one with a study.toml", "none", "", step)
     if chosen.check:
-        return _check(paths, chosen)
+        return _check(paths, chosen, cohort)
     try:
         return _one(paths[0], chosen) if len(paths) == 1 else _several(paths, chosen, cohort)
     except KeyboardInterrupt:
@@ -57,15 +57,15 @@ def work(words: list[str]) -> Outcome | None:
         raise KeyboardInterrupt(kept) from None
 
 
-def _check(paths: Sequence[Path], chosen: RunOptions) -> Outcome:
+def _check(paths: Sequence[Path], chosen: RunOptions, cohort: CohortOptions) -> Outcome:
     from pipeline.run import check_study
-    from pipeline.study import read_study
+    from pipeline.several import check_choices, read_studies
 
-    rows = []
-    for path in paths:
-        study = read_study(path)
-        check_study(study)
-        rows.append((study.name, f"{len(study.inputs())} files, nothing to mend before it runs"))
+    studies = read_studies(paths, check_study)
+    if len(studies) > 1:
+        check_choices(studies, vars(cohort))
+    ready = "files, nothing to mend before it runs"
+    rows = [(name, f"{len(study.inputs())} {ready}") for name, study in studies.items()]
     return Outcome("checked", rows, json=chosen.as_json, quiet=chosen.quiet)
 
 
@@ -111,10 +111,8 @@ def _several(studies: Sequence[Path], chosen: RunOptions, cohort: CohortOptions)
             sys.stderr.write(f"{line}\n")
 
     runner = run_on_dask(chosen.scheduler) if chosen.scheduler else run_here(chosen.jobs)
-    names = ("mix", "use_all", "covariates", "laws")
-    choices = {name: getattr(cohort, name) for name in names}
     out = chosen.out or Path("cohort_out")
-    result = run_studies(studies, out, runner, force=chosen.force, choices=choices, report=report)
+    result = run_studies(studies, out, runner, force=chosen.force, choices=vars(cohort), report=report)
     failed = {name: end for name, end in result.ends.items() if end.code}
     if len(failed) == len(result.ends):
         raise StapeskitError(*(f"{name}: {end.fault}" for name, end in failed.items()))

@@ -9,15 +9,18 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from pipeline.cohort.cohort import Cohort, cohort_of
+from pipeline.cohort.covariates import covariates_of
 from pipeline.cohort.ears import Ear, read_ear
+from pipeline.cohort.laws import planned_laws
+from pipeline.cohort.logs import PREDICTORS, responses_of
 from pipeline.cohort.page import FILES, write_cohort
 from pipeline.study import Study, read_study
-from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
 from stapeskit.outputs import Outputs
 from stapeskit.warnings import Notice
 
@@ -132,6 +135,54 @@ def folder_names(studies: Sequence[Path]) -> list[str]:
     return names
 
 
+def read_studies(paths: Sequence[Path], check: Callable[[Study], None] = lambda _: None) -> dict[str, Study]:
+    """Read several study files, by the names of their folders.
+
+    Parameters
+    ----------
+    check : callable
+        What else is looked at.
+
+    Raises
+    ------
+    StapeskitError
+        Every fault of all of them, with the folder that each lies in; or a study is given twice.
+    """
+    studies, faults = dict[str, Study](), list[Fault]()
+    for name, path in zip(folder_names(paths), map(Path, paths), strict=True):
+        try:
+            studies[name] = read_study(path)
+            check(studies[name])
+        except StapeskitError as error:
+            faults += [replace(fault, where=str(path.parent / str(fault.where))) for fault in error.faults]
+    times = Counter(study.path.resolve() for study in studies.values())
+    twice = [path for path, count in times.items() if count > 1]
+    faults += [Fault("a study", "given once", "the same again", str(path)) for path in twice]
+    raise_all(faults)
+    return studies
+
+
+def check_choices(studies: Mapping[str, Study], choices: Mapping[str, Any]) -> None:
+    """Look at the options of a cohort before its ears are computed, as far as the studies say.
+
+    Raises
+    ------
+    StapeskitError
+        A planned law is of no quantity that these ears will have, or a study lacks a covariate.
+    """
+    faults = list[Fault]()
+    ears = [
+        Ear(study.name, name, study.scan.side or "", {}, {}, study.about.of_ear())
+        for name, study in studies.items()
+    ]
+    with collect_faults(faults):
+        covariates_of(ears, choices.get("covariates", ()))
+    most = max(len(study.fit.dof) for study in studies.values())
+    with collect_faults(faults):
+        planned_laws(responses_of(most), PREDICTORS, choices.get("laws", ()))
+    raise_all(faults)
+
+
 def run_studies(
     paths: Sequence[Path],
     out: Path,
@@ -157,12 +208,13 @@ def run_studies(
     Raises
     ------
     StapeskitError
-        A study file is at fault, a study would write over what another one reads, or an output of the cohort
-        cannot be replaced.
+        As `read_studies` and `check_choices`; a study would write over what another one reads, or an output
+        of the cohort cannot be replaced.
     """
     out = Path(out).absolute()
-    named = dict(zip(folder_names(paths), (Path(path).absolute() for path in paths), strict=True))
-    studies = {name: read_study(path) for name, path in named.items()}
+    studies = read_studies(paths)
+    check_choices(studies, choices or {})
+    named = {name: study.path for name, study in studies.items()}
     outputs = _outputs(studies, out, force)
     ends: dict[str, End] = {}
 

@@ -16,7 +16,7 @@ from pipeline.cohort.covariates import covariates_of, described
 from pipeline.cohort.ears import Ear, read_ears, unique_names
 from pipeline.cohort.law import Law
 from pipeline.cohort.laws import LEAST_EARS, components_of, fit_laws, unresolved
-from pipeline.cohort.logs import LogTable, log_table
+from pipeline.cohort.logs import LogTable, full_name, log_table
 from pipeline.cohort.predict import Prediction, Predictor
 from stapeskit.faults import StapeskitError, raise_all
 from stapeskit.records.mass import read_mass
@@ -114,16 +114,14 @@ class Cohort(Result):
             There is no such law.
         """
 
-        def matches(name: str, given: str) -> bool:
-            return name == given or name.startswith(f"{given}_")
-
-        found = [
-            law for law in self.laws if matches(law.response, response) and matches(law.predictor, predictor)
-        ]
-        if len(found) != 1:
-            known = ", ".join(sorted({f"{law.response} ~ {law.predictor}" for law in self.laws})) or "none"
-            raise StapeskitError.of("the law", f"one of {known}", f"{response} ~ {predictor}")
-        return found[0]
+        names = {name for law in self.laws for name in (law.response, law.predictor)}
+        try:
+            wanted = full_name(response, names), full_name(predictor, names)
+            return next(law for law in self.laws if (law.response, law.predictor) == wanted)
+        except (KeyError, StopIteration):
+            known = ", ".join(sorted(f"{law.response} ~ {law.predictor}" for law in self.laws)) or "none"
+            given = f"{response} ~ {predictor}"
+            raise StapeskitError.of("the law", f"one of {known}", given) from None
 
     def predict(
         self, mass: object, response: str = "K11", predictor: str = "mass",

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.cohort.components import Components, independent_parameters
 from pipeline.cohort.law import Law, fit_law
-from pipeline.cohort.logs import LogTable
+from pipeline.cohort.logs import LogTable, full_name
 from pipeline.cohort.predict import left_out
 from stapeskit.faults import Fault, raise_all
 from stapeskit.warnings import Notice
@@ -41,7 +41,7 @@ def fit_laws(table: LogTable, planned: Sequence[str] = ()) -> tuple[Law, ...]:
     """
     from scipy.stats import false_discovery_control
 
-    wanted = planned_laws(table, planned)
+    wanted = planned_laws(table.responses, table.predictors, planned)
     fitted = [_fitted(table, *names, names in wanted) for names in product(table.responses, table.predictors)]
     laws = list[Law]()
     for family in ("primary", "exploratory"):
@@ -51,8 +51,16 @@ def fit_laws(table: LogTable, planned: Sequence[str] = ()) -> tuple[Law, ...]:
     return tuple(laws)
 
 
-def planned_laws(table: LogTable, planned: Sequence[str]) -> set[tuple[str, str]]:
-    """Return the planned laws by full names; those of the default that the ears lack are left out."""
+def planned_laws(
+    responses: Sequence[str], predictors: Sequence[str], planned: Sequence[str]
+) -> set[tuple[str, str]]:
+    """Return the planned laws by full names; those of the default that the ears lack are left out.
+
+    Raises
+    ------
+    StapeskitError
+        A planned law is unknown, or they are too many.
+    """
     names = [tuple(part.strip() for part in text.partition("~")[::2]) for text in planned]
     faults, family = list[Fault](), set[tuple[str, str]]()
     if len(set(names)) > _MOST_PLANNED:
@@ -60,9 +68,9 @@ def planned_laws(table: LogTable, planned: Sequence[str]) -> set[tuple[str, str]
         faults.append(Fault("--laws", f"at most {_MOST_PLANNED} laws", len(set(names)), "", step))
     for response, predictor in names or PRIMARY:
         try:
-            family.add((table.full_name(response), table.full_name(predictor)))
+            family.add((full_name(response, responses), full_name(predictor, predictors)))
         except KeyError as name:
-            known = f"responses {', '.join(table.responses)}, predictors {', '.join(table.predictors)}"
+            known = f"responses {', '.join(responses)}, predictors {', '.join(predictors)}"
             if names:
                 faults.append(Fault("--laws", f"RESPONSE~PREDICTOR out of {known}", name.args[0]))
     raise_all(faults)

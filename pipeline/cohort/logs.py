@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,6 +31,26 @@ _VOXEL_POWER_OF_MASS = 3.0
 # Standard deviation, in voxels, of lengths whose mass.json states none: both ends are rounded to a voxel,
 # each with a variance of 1/12. Lengths of surfaces within voxels are better than that.
 _LENGTH_SD_VOXELS = (2.0 / 12.0) ** 0.5
+
+
+def responses_of(dof: int, letters: str = "KD", principal: bool = True) -> tuple[str, ...]:
+    """Return the responses of ears of so many degrees of freedom: diagonals, and principal stiffnesses."""
+    own = tuple(f"{letter}{k}{k}" for letter in letters for k in range(1, dof + 1))
+    return (*own, "K_principal_2", "K_principal_3") if principal else own
+
+
+def full_name(name: str, names: Collection[str]) -> str:
+    """Return the whole name of a quantity: ``mass_kg`` for ``mass``.
+
+    Raises
+    ------
+    KeyError
+        There is none, or more than one, of that name.
+    """
+    close = [known for known in names if known.startswith(f"{name}_")]
+    if name not in names and len(close) != 1:
+        raise KeyError(name)
+    return name if name in names else close[0]
 
 
 @dataclass(frozen=True)
@@ -66,22 +86,8 @@ class LogTable:
         return [name for name in self.responses if "principal" not in name]
 
     def column(self, name: str) -> int:
-        """Return the column of a quantity; KeyError where there is none of that name."""
-        return (*self.predictors, *self.responses).index(self.full_name(name))
-
-    def full_name(self, name: str) -> str:
-        """Return the whole name of a quantity: ``mass`` for ``mass_kg``.
-
-        Raises
-        ------
-        KeyError
-            There is none, or more than one, of that name.
-        """
-        names = (*self.predictors, *self.responses)
-        close = [known for known in names if known == name or known.startswith(f"{name}_")]
-        if name not in names and len(close) != 1:
-            raise KeyError(name)
-        return name if name in names else close[0]
+        """Return the column of a quantity."""
+        return (*self.predictors, *self.responses).index(name)
 
     def pairs(self, response: str, predictor: str) -> LogPairs:
         """Return predictor and response of the ears that have both."""
@@ -96,9 +102,8 @@ def log_table(ears: Sequence[Ear], covariates: Covariates | None = None) -> LogT
     """Take the logarithms of predictors and responses of ears of the same degrees of freedom."""
     n = len(ears[0].kd["dof"])
     letters = "K" if common_damping_exponent(ears) is None else "KD"
-    responses = tuple(f"{letter}{k}{k}" for letter in letters for k in range(1, n + 1))
-    if all((ear.kd.get("principal_axes") or {}).get("stiffness_si") for ear in ears):
-        responses += ("K_principal_2", "K_principal_3")
+    principal = all((ear.kd.get("principal_axes") or {}).get("stiffness_si") for ear in ears)
+    responses = responses_of(n, letters, principal)
     rows = [_ear_logs(ear, responses) for ear in ears]
     notices = list[Notice]()
     assumed = dict.fromkeys(row.lengths_assumed for row in rows if row.lengths_assumed)
