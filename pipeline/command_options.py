@@ -53,7 +53,6 @@ class CohortOptions(Options):
 
     mix: Annotated[Flag, Opt("compare ears that were fitted or prepared in different ways", _COHORT)] = False
     use_all: Annotated[Flag, Opt('let ears enter the laws whose verdict is "do not use"', _COHORT)] = False
-    covariates: Annotated[Words, Opt("columns of [study] that laws are adjusted for", _COHORT)] = ()
     laws: Annotated[Words, Opt("planned laws, at most six: K11~mass,K22~mass", _COHORT)] = ()
 
 

@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.cohort.cohort import Cohort, cohort_of
-from pipeline.cohort.covariates import covariates_of
 from pipeline.cohort.ears import Ear, read_ear
 from pipeline.cohort.laws import planned_laws
 from pipeline.cohort.logs import PREDICTORS, responses_of
 from pipeline.cohort.page import FILES, write_cohort
 from pipeline.study import Study, read_study
-from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
+from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.outputs import Outputs
 from stapeskit.warnings import Notice
 
@@ -168,19 +167,10 @@ def check_choices(studies: Mapping[str, Study], choices: Mapping[str, Any]) -> N
     Raises
     ------
     StapeskitError
-        A planned law is of no quantity that these ears will have, or a study lacks a covariate.
+        A planned law is of no quantity that these ears will have.
     """
-    faults = list[Fault]()
-    ears = [
-        Ear(study.name, name, study.scan.side or "", {}, {}, study.about.of_ear())
-        for name, study in studies.items()
-    ]
-    with collect_faults(faults):
-        covariates_of(ears, choices.get("covariates", ()))
     most = max(len(study.fit.dof) for study in studies.values())
-    with collect_faults(faults):
-        planned_laws(responses_of(most), PREDICTORS, choices.get("laws", ()))
-    raise_all(faults)
+    planned_laws(responses_of(most), PREDICTORS, choices.get("laws", ()))
 
 
 def run_studies(

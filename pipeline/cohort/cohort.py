@@ -12,7 +12,6 @@ import numpy as np
 
 from pipeline.cohort.compatible import cohort_faults, reasons_to_exclude, shared_scans
 from pipeline.cohort.components import Components
-from pipeline.cohort.covariates import covariates_of, described
 from pipeline.cohort.ears import Ear, read_ears, unique_names
 from pipeline.cohort.law import Law
 from pipeline.cohort.laws import LEAST_EARS, components_of, fit_laws, unresolved
@@ -134,12 +133,12 @@ class Cohort(Result):
         mass : result of ct2mass or scan2kd, path or mapping
             A path leads to mass.json or to the folder that holds it; a mapping is its content.
         about : mapping, optional
-            Covariates of the ear, where the cohort was adjusted for some.
+            What is known of the ear: its ``scanner``, whose error of the voxel size it may share.
 
         Raises
         ------
         StapeskitError
-            There is no such law, or the scan lacks the predictor, or a covariate is missing.
+            There is no such law, or the scan lacks the predictor.
         """
         law, table = self.law(response, predictor), self.table
         content = _mass_content(mass)
@@ -155,9 +154,8 @@ class Cohort(Result):
             k for k, source in enumerate(alone.sources) if table is None or source not in table.sources
         ]
         variance = alone.own[0, column, column] + np.sum(alone.shared[0, column, foreign] ** 2)
-        columns = None if table is None else table.covariates.of_ear(described(ear))
         x = float(alone.values[0, column])
-        return self.predictor(law).predict(x, float(variance), law.pairs.shared_variance, columns)
+        return self.predictor(law).predict(x, float(variance), law.pairs.shared_variance)
 
     def predictor(self, law: Law) -> Predictor:
         """Return the predictive distribution of a law, computed once."""
@@ -193,7 +191,6 @@ class Cohort(Result):
             "excluded": [{"ear": name, "reason": reason} for name, reason in self.excluded],
             "laws": [law.as_json() for law in self.laws],
             "independent_parameters": parameters,
-            "covariates": [] if self.table is None else list(self.table.covariates.names),
             "normal_ranges_95_si": {name: list(ends) for name, ends in self.normal_ranges().items()},
             "shared_errors": [] if self.table is None else list(self.table.sources),
             "warnings": [notice.as_json() for notice in self.notices],
@@ -217,7 +214,7 @@ def cohort(
         What is known of ears, by the names of their folders: subject, side, age, sex, group, scanner, cochlea
         ... A result of `scan2kd` brings what its study states.
     **choices
-        ``mix``, ``use_all``, ``covariates``, ``laws`` as in `cohort_of`.
+        ``mix``, ``use_all``, ``laws`` as in `cohort_of`.
 
     Raises
     ------
@@ -245,7 +242,6 @@ def cohort_of(
     *,
     mix: bool = False,
     use_all: bool = False,
-    covariates: Sequence[str] = (),
     laws: Sequence[str] = (),
 ) -> Cohort:
     """Fit every law of a response on a predictor that the ears allow.
@@ -258,15 +254,13 @@ def cohort_of(
         Put ears together that were fitted or prepared in different ways.
     use_all : bool
         Let ears enter the laws whose verdict is "do not use".
-    covariates : sequence of str
-        What is known of the ears, by name, that laws are adjusted for: numbers, or names of groups.
     laws : sequence of str
         The planned laws, at most six, as ``"K11~mass"``; all others are exploratory.
 
     Raises
     ------
     StapeskitError
-        The ears do not belong together, a covariate is missing, or a planned law is unknown.
+        The ears do not belong together, or a planned law is unknown.
     """
     raise_all(cohort_faults(ears, mix))
     reasons = reasons_to_exclude(ears, use_all)
@@ -281,7 +275,7 @@ def cohort_of(
         text = f"Laws need at least {LEAST_EARS} ears; there are {len(used)}. The ears are only listed."
         notices.append(Notice("cohort_too_small", text))
         return Cohort(tuple(ears), excluded, notices=tuple(notices))
-    table = log_table(used, covariates_of(used, covariates))
+    table = log_table(used)
     fitted = fit_laws(table, laws)
     notices += [*table.notices, *unresolved(fitted)]
     return Cohort(tuple(ears), excluded, table, fitted, components_of(table), unique(notices))

@@ -3,7 +3,7 @@
 The logarithms v_i = (x_i, y_i) of ear i follow N(m, Psi + S_i) with Psi = [[tau^2, b tau^2], [b tau^2, b^2
 tau^2 + sigma^2]]: x scatters by tau, y about the law by sigma, S_i is the covariance of the measurement.
 Ears of one person share a part rho of Psi. Errors that only some ears share are a batch effect G G' in the
-covariance of all ears. The means, and the effects of covariates on them, are integrated out (Patterson and
+covariance of all ears. The means are integrated out (Patterson and
 Thompson 1971, doi:10.1093/biomet/58.3.545).
 """
 
@@ -41,8 +41,6 @@ class LogPairs:
         Effect of each of s independent errors of unit variance on (x, y) of every ear.
     subject : ndarray of int, (n,)
         Which ears belong to one person; every ear is its own subject when left out.
-    covariates : ndarray, (n, c)
-        Further predictors of both x and y (age, sex, ...), centred.
     """
 
     x: Array
@@ -50,11 +48,10 @@ class LogPairs:
     own: Array
     shared: Array = field(default_factory=lambda: np.zeros((0, 2, 0)))
     subject: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    covariates: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         n = len(self.x)
-        defaults = {"subject": np.arange(n), "shared": np.zeros((n, 2, 0)), "covariates": np.zeros((n, 0))}
+        defaults = {"subject": np.arange(n), "shared": np.zeros((n, 2, 0))}
         for name, value in defaults.items():
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, value)
@@ -67,26 +64,16 @@ class LogPairs:
     @property
     def degrees(self) -> int:
         """Degrees of freedom of the scatter about the law."""
-        return self.n - 2 - self.covariates.shape[1]
+        return self.n - 2
 
     @property
     def shared_variance(self) -> float:
         """Mean variance of ln y by errors that ears share."""
         return float(np.mean(np.sum(self.shared[:, 1] ** 2, axis=1)))
 
-    @property
-    def design(self) -> Array:
-        """A column of ones and the covariates, (n, 1 + c)."""
-        return np.column_stack([np.ones(self.n), self.covariates])
-
-    def allows_law(self, least_degrees: int) -> bool:
-        """Return whether enough degrees are left, and no covariate follows from the others."""
-        independent = int(np.linalg.matrix_rank(self.design, tol=1e-9)) == self.design.shape[1]
-        return self.degrees >= least_degrees and independent
-
     def select(self, keep: NDArray[np.bool_]) -> LogPairs:
         """Return some of the ears; ``keep`` is (n,)."""
-        names = ("x", "y", "own", "shared", "subject", "covariates")
+        names = ("x", "y", "own", "shared", "subject")
         return LogPairs(*(getattr(self, name)[keep] for name in names))
 
     def shifted(self, x: float, y: float) -> LogPairs:
@@ -103,7 +90,7 @@ class RestrictedLikelihood:
     def __init__(self, pairs: LogPairs) -> None:
         n = pairs.n
         self._values = np.stack([pairs.x, pairs.y], axis=1).ravel()
-        self._design = np.kron(pairs.design, np.eye(2))
+        self._design = np.tile(np.eye(2), (n, 1))
         # An error with the same effect on all ears moves the means only.
         common = np.all(np.abs(pairs.shared - pairs.shared[:1]) < 1e-12, axis=(0, 1))
         batch = pairs.shared[:, :, ~common].reshape(2 * n, -1)
@@ -114,7 +101,7 @@ class RestrictedLikelihood:
         self.paired = bool(np.any(self.relatives))
 
     def means(self, parameters: Array) -> tuple[Array, Array, Array]:
-        """Return for rows (g, 3 or 4) the value, the effects on the means (g, p), and their covariance."""
+        """Return for rows (g, 3 or 4) the value, the means (g, 2) of x and y, and their covariance."""
         parameters, n = np.atleast_2d(parameters), len(self.relatives)
         psi, rho = covariance_between_ears(parameters), self.correlation(parameters)
         between = np.eye(n) + rho[:, None, None] * self.relatives
@@ -125,11 +112,11 @@ class RestrictedLikelihood:
         columns, values = white[:, :, :-1], white[:, :, -1:]
         information = columns.swapaxes(1, 2) @ columns
         covariance = np.linalg.inv(information)
-        effects = covariance @ (columns.swapaxes(1, 2) @ values)
-        rest = values - columns @ effects
+        means = covariance @ (columns.swapaxes(1, 2) @ values)
+        rest = values - columns @ means
         log_det = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
         value = log_det + 0.5 * np.linalg.slogdet(information)[1] + 0.5 * np.sum(rest**2, axis=(1, 2))
-        return value, effects[:, :, 0], covariance
+        return value, means[:, :, 0], covariance
 
     def correlation(self, parameters: Array) -> Array:
         """Return rho (g,), what ears of one person have in common; zero where there are none."""
@@ -331,12 +318,12 @@ def fit_law(pairs: LogPairs, level: float = 0.95) -> tuple[Law, Profile]:
 
     k = pairs.degrees
     if k < 1:
-        raise ValueError(f"a law of {2 + pairs.covariates.shape[1]} unknowns needs more ears; got {pairs.n}")
+        raise ValueError(f"a law needs more ears than two; got {pairs.n}")
     origin = np.array([pairs.x.mean(), pairs.y.mean()])
     profile = Profile(pairs.shifted(*origin))
     limit = (k + 1) * np.log1p(stdtrit(k, 0.5 * (1.0 + level)) ** 2 / k)
     tau, b, sigma = float(np.exp(profile.best[0])), float(profile.best[1]), float(np.exp(profile.best[2]))
-    mean = profile.likelihood.means(profile.best)[1][0, :2] + origin
+    mean = profile.likelihood.means(profile.best)[1][0] + origin
     error = float(np.median(pairs.own[:, 0, 0]))
     rho = float(profile.likelihood.correlation(profile.best[None])[0])
     law = Law(
@@ -374,7 +361,7 @@ def scatter_interval(
     from scipy.optimize import brentq
     from scipy.special import chdtri
 
-    residual, design = pairs.y - exponent * pairs.x, pairs.design
+    residual, ones = pairs.y - exponent * pairs.x, np.ones(pairs.n)
     variance = max(float(np.var(residual)), 1e-300)
     across = np.array([-exponent, 1.0])
     error = across @ pairs.own @ across + 1e-12 * variance
@@ -382,9 +369,8 @@ def scatter_interval(
 
     def q(scatter: float) -> float:
         whole = scatter * alike + np.diag(error)
-        solved = np.linalg.solve(whole, np.column_stack([design, residual]))
-        effects = np.linalg.solve(design.T @ solved[:, :-1], design.T @ solved[:, -1])
-        return float(residual @ solved[:, -1] - effects @ (design.T @ solved[:, -1]))
+        weights, solved = np.linalg.solve(whole, np.column_stack([ones, residual])).T
+        return float(residual @ solved - solved.sum() ** 2 / weights.sum())
 
     ends = []
     for probability in (0.5 * (1.0 - level), 0.5 * (1.0 + level)):

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cohort.covariates import Covariates, covariates_of
 from pipeline.cohort.ears import SHARED_SOURCES, Ear, common_damping_exponent, source_id
 from pipeline.cohort.law import LogPairs
 from stapeskit.arrays import Array
@@ -78,7 +77,6 @@ class LogTable:
     sources: tuple[str, ...]
     subject: NDArray[np.int64]
     notices: tuple[Notice, ...]
-    covariates: Covariates
 
     @property
     def entries(self) -> list[str]:
@@ -95,10 +93,10 @@ class LogTable:
         keep = np.all(np.isfinite(self.values[:, columns]), axis=1)
         x, y = self.values[keep][:, columns].T
         own, shared = self.own[keep][:, columns][:, :, columns], self.shared[keep][:, columns]
-        return LogPairs(x, y, own, shared, self.subject[keep], self.covariates.columns[keep])
+        return LogPairs(x, y, own, shared, self.subject[keep])
 
 
-def log_table(ears: Sequence[Ear], covariates: Covariates | None = None) -> LogTable:
+def log_table(ears: Sequence[Ear]) -> LogTable:
     """Take the logarithms of predictors and responses of ears of the same degrees of freedom."""
     n = len(ears[0].kd["dof"])
     letters = "K" if common_damping_exponent(ears) is None else "KD"
@@ -129,7 +127,6 @@ def log_table(ears: Sequence[Ear], covariates: Covariates | None = None) -> LogT
         sources,
         np.unique(persons, return_inverse=True)[1],
         tuple(notices),
-        covariates or covariates_of(ears),
     )
 
 

@@ -158,8 +158,6 @@ def _exploratory_blocks(cohort: Cohort) -> list[Markup]:
         "(restricted maximum likelihood; 95 % intervals by the profile). Laws that were not planned are "
         "exploratory: their q is the share of false findings among those with a q as small."
     )
-    covariates = cohort.table.covariates.names if cohort.table is not None else ()
-    words += f" Adjusted for {', '.join(covariates)}." if covariates else ""
     return [page.text(words), page.table(_LAW_HEAD, [_law_row(law) for law in others])]
 
 

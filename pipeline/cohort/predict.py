@@ -50,21 +50,15 @@ class Predictor:
         profile = Profile(pairs.shifted(*self._origin))
         grid, volume = _grid(profile)
         pieces = [profile.likelihood.means(part) for part in np.array_split(grid, 40)]
-        value, effects, covariance = (np.concatenate(part) for part in zip(*pieces, strict=True))
+        value, means, covariance = (np.concatenate(part) for part in zip(*pieces, strict=True))
         log_weight = np.log(volume) - value - 0.5 * (grid[:, 1] / _PRIOR_EXPONENT) ** 2
         weight = np.exp(log_weight - log_weight.max())
         keep = weight > _LEAST_WEIGHT * weight.sum()
         self._weight = weight[keep] / weight[keep].sum()
-        self._effects, self._covariance = effects[keep], covariance[keep]
+        self._means, self._covariance = means[keep], covariance[keep]
         self._psi = covariance_between_ears(grid[keep])
 
-    def predict(
-        self,
-        x: float,
-        own_variance: float = 0.0,
-        shared_variance: float = 0.0,
-        covariates: Array | None = None,
-    ) -> Prediction:
+    def predict(self, x: float, own_variance: float = 0.0, shared_variance: float = 0.0) -> Prediction:
         """Predict ln y of an ear whose ln x was measured.
 
         Parameters
@@ -73,11 +67,8 @@ class Predictor:
             Of the error of ln x that the ears of the law do not have.
         shared_variance : float
             Of the error of ln y that all ears of the law share: the true y scatters by it.
-        covariates : ndarray, (c,), optional
-            Centred as those of the law; the mean ear when left out.
         """
-        means, extra = self._at(covariates)
-        psi = self._psi
+        psi, means, extra = self._psi, self._means, self._covariance
         gain = (psi[:, 0, 1] + extra[:, 0, 1]) / (psi[:, 0, 0] + extra[:, 0, 0] + own_variance)
         mean = means[:, 1] + gain * (x - self._origin[0] - means[:, 0])
         variance = psi[:, 1, 1] + extra[:, 1, 1] - gain * (psi[:, 0, 1] + extra[:, 0, 1]) + shared_variance
@@ -86,19 +77,9 @@ class Predictor:
 
     def tolerance(self, shared_variance: float = 0.0) -> tuple[float, float]:
         """Return the 95 % range of ln y of ears of this population, whatever their predictor."""
-        means, extra = self._at(None)
-        variance = self._psi[:, 1, 1] + extra[:, 1, 1] + shared_variance
-        low, high = (self._quantile(means[:, 1], variance, p) for p in (0.025, 0.975))
+        variance = self._psi[:, 1, 1] + self._covariance[:, 1, 1] + shared_variance
+        low, high = (self._quantile(self._means[:, 1], variance, p) for p in (0.025, 0.975))
         return low + self._origin[1], high + self._origin[1]
-
-    def _at(self, covariates: Array | None) -> tuple[Array, Array]:
-        """Return means (g, 2) of (x, y) and their covariance (g, 2, 2) at covariates."""
-        at = np.zeros(self._effects.shape[1] // 2)
-        at[0] = 1.0
-        if covariates is not None:
-            at[1:] = covariates
-        design = np.kron(at, np.eye(2))
-        return self._effects @ design.T, design @ self._covariance @ design.T
 
     def _quantile(self, mean: Array, variance: Array, share: float) -> float:
         """Return a quantile of the mixture of normal distributions over the grid."""
@@ -156,15 +137,13 @@ def left_out(pairs: LogPairs, profile: Profile) -> Array:
     for subject in np.unique(pairs.subject):
         out = centred.subject == subject
         rest = centred.select(~out)
-        if not rest.allows_law(2):
+        if rest.degrees < 2:
             continue
         near = profile.best if len(np.unique(rest.subject)) < rest.n else profile.best[:3]
         fitted = Profile(rest, near)
-        _, effects, _ = fitted.likelihood.means(fitted.best)
+        _, means, _ = fitted.likelihood.means(fitted.best)
         psi = covariance_between_ears(fitted.best[None])[0]
-        ear = centred.select(out)
-        rows = np.column_stack([np.ones(ear.n), ear.covariates])
-        means = rows @ effects[0].reshape(-1, 2)
+        ear, (mean_x, mean_y) = centred.select(out), means[0]
         gain = psi[0, 1] / (psi[0, 0] + ear.own[:, 0, 0])
-        errors[out] = ear.y - means[:, 1] - gain * (ear.x - means[:, 0])
+        errors[out] = ear.y - mean_y - gain * (ear.x - mean_x)
     return errors

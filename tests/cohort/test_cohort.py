@@ -127,17 +127,6 @@ def test_a_right_ear_is_compared_as_its_mirror_image(ears):
     assert rows["K_y_gamma"][0] == rows["K_y_gamma"][1]
 
 
-def test_covariates_change_no_exponent_that_they_do_not_explain(ears):
-    rng = np.random.default_rng(5)
-    known = [replace(one, about={**one.about, "age": float(rng.integers(30, 80))}) for one in ears]
-    plain, adjusted = cohort_of(known), cohort_of(known, covariates=["age"])
-    assert adjusted.table.covariates.names == ("age",)
-    low, high = plain.law("K11", "mass").interval
-    assert low < adjusted.law("K11", "mass").exponent < high
-    with pytest.raises(StapeskitError):
-        cohort_of(known, covariates=["shoe_size"])
-
-
 def test_folders_are_read_and_the_page_table_and_json_are_written(ears, tmp_path):
     for one in ears:
         folder = tmp_path / one.folder

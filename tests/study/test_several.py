@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from pipeline.cluster import run_on_dask
-from pipeline.several import End, folder_names, run_here, run_studies
+from pipeline.several import End, check_choices, folder_names, read_studies, run_here, run_studies
 from pipeline.study import read_study, study_template
 from simulate import Truth
 from stapeskit.faults import StapeskitError
@@ -58,6 +58,27 @@ def test_an_output_folder_around_an_input_is_refused(small: tuple[Path, Truth], 
     shutil.copytree(small[0], tmp_path / "study")
     with pytest.raises(StapeskitError):
         run_studies([tmp_path / "study" / "study.toml"], tmp_path, run_here(1))
+
+
+def test_what_is_wrong_with_several_studies_is_said_together_before_any_runs(
+    small: tuple[Path, Truth], tmp_path: Path
+) -> None:
+    for name in ("one", "two", "three"):
+        shutil.copytree(small[0], tmp_path / name)
+    study = tmp_path / "one" / "study.toml"
+    for name in ("two", "three"):
+        (tmp_path / name / "scan.nrrd").unlink()
+    with pytest.raises(StapeskitError) as raised:
+        read_studies([tmp_path / name / "study.toml" for name in ("one", "two", "three")])
+    assert [Path(str(fault.where)).parent.name for fault in raised.value.faults] == ["two", "three"]
+    with pytest.raises(StapeskitError) as raised:
+        read_studies([study, study])
+    assert raised.value.faults[0].expected == "given once"
+    for wrong in ("K99~mass", "K11~masss", "K11"):
+        with pytest.raises(StapeskitError) as raised:
+            check_choices(read_studies([study]), {"laws": ["K22~mass", wrong]})
+        assert raised.value.faults[0].thing == "--laws"
+    check_choices(read_studies([study]), {"laws": ["K_principal_2~mass", "D33~gap"]})
 
 
 def test_the_template_is_read_once_its_files_exist(tmp_path: Path) -> None:
