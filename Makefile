@@ -13,7 +13,7 @@ test test-shared: export OPENBLAS_NUM_THREADS = 1
 help:
 	@echo "make demo      set up and run the whole chain on the sample study, into demo/"
 	@echo "make test      set up and run the tests; make test-shared: also on data that may not be copied"
-	@echo "make check     lint, types, import rules; make browser: the page of the app, driven in Chromium"
+	@echo "make check     lint, types, import rules; make browser: app and report, driven in Chromium"
 	@echo "make coverage  statements that the tests reach, file by file"
 	@echo "make cohort    twelve simulated ears with a planted law, and the truth beside what was found"
 	@echo "make bench     the slower evidence; make evidence: its tables into docs/ (ARGS=fitting_estimators)"
@@ -43,7 +43,7 @@ coverage: $(READY)
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report --ignore-errors --skip-covered --sort=cover
 browser: $(READY)
-	$(BIN)/python -m pytest -m browser tests/app
+	$(BIN)/python -m pytest -m browser tests/app tests/study
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .

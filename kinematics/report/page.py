@@ -50,7 +50,7 @@ def motion_page(result: MotionResult) -> Page:
     made = page.Page(result.title, lead)
     level, reasons = verdict_of(result.notices)
     made.add(page.verdict(level, _SENTENCES[level], reasons))
-    made.add(page.beside(page.table(("", ""), summary_rows(result), words=True), _motion(result)))
+    made.add(page.table(("", ""), summary_rows(result), words=True))
     some = f"the first {MOST_RUNS} of {len(motion.runs)} runs; " if len(motion.runs) > MOST_RUNS else ""
     caption = f"Amplitude and phase; {some}bands are 95 % of the channel noise."
     curves = page.figure(spectra_figure(motion), caption, "amplitude and phase over frequency", file="motion")
