@@ -211,13 +211,14 @@ def _read_alike(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table | No
 
     try:
         found = cells(plain, float, columns)
-        words = {name: cells(lines, str, [sheet.header.index(name)])[:, 0].tolist() for name in texts}
+        listed = sorted(texts)
+        words = cells(lines, str, [sheet.header.index(name) for name in listed]).T.tolist() if listed else []
     except ValueError:
         return None
     if len(found) != len(lines):  # a return within a row
         return None
     values = {sheet.header[place]: found[:, k] for k, place in enumerate(columns)}
-    encoded = {name: _encode(column) for name, column in words.items()}
+    encoded = {name: _encode(column) for name, column in zip(listed, words, strict=True)}
     return Table(sheet.file, values, encoded, sheet.line + np.arange(len(lines), dtype=np.int64))
 
 
