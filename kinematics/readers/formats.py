@@ -56,8 +56,9 @@ class Head:
         if is_of_point(sheets[0]) or is_fastscan(sheets[0]):
             return "psv"
         low = {name.strip('"').lower() for name in sheets[0].names}
-        if "time_s" in low or not _TIDY.isdisjoint(low):
-            return "series" if "time_s" in low else ""
+        timed = any(name.startswith(("time", "zeit")) for name in low)
+        if timed or not _TIDY.isdisjoint(low):
+            return "series" if timed and _TIDY.isdisjoint(low) else ""
         return "wide" if is_wide(sheets[0]) else ""
 
 

@@ -26,7 +26,7 @@ from kinematics.readers.points import POSITION, cell_faults, require, text_of
 from kinematics.readers.recording import Recording, Row, unknown_vector
 from kinematics.readers.text import plain_name, shown
 from kinematics.readers.tree import read_tree
-from kinematics.readers.units import MOTIONS, SI_UNITS, MotionUnit, is_none, motion_unit, plain
+from kinematics.readers.units import SI_UNITS, MotionUnit, is_none, motion_unit, plain
 from kinematics.signals.frf import periodic_frf, welch_frf
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError, collect_faults, list_some, raise_all
@@ -162,7 +162,8 @@ def _listed(table: Table, line: int, faults: list[Fault]) -> Listed:
         faults.append(Fault("channel and role", want, got, where))
     if is_none(texts["unit"]) if role == "reference" else unit is None and role == "response":
         step = "Give the unit of the numbers times the sensitivity, e.g. m/s, Pa or V"
-        want, got = f"one of {MOTIONS}; of a reference any", shown(texts["unit"]) or "none"
+        want = "one of motion (m/s, mm/s, um, g), neither peak nor rms; of a reference any"
+        got = shown(texts["unit"]) or "none"
         faults.append(Fault("unit", want, got, where, step))
     direction = unknown_vector()
     if role == "response" and texts["dir"]:
@@ -222,6 +223,9 @@ def _read_samples(path: Path, names: Sequence[str]) -> tuple[float, dict[str, Ar
     if not 0.0 < rate <= HIGHEST_HZ:
         step, got = "Add sample_rate_hz (a number) or time_s (s, one a sample)", f"the variables {listed}"
         raise StapeskitError.of("the file", "with a positive sampling rate", got, path.name, step)
+    if times and any(abs(stated - rate) > 1e-3 * rate for stated in rates):
+        got, step = f"{rate:g} Hz by its times and {rates[0]:g} Hz", "Keep the right one"
+        raise StapeskitError.of("the sampling rate", "one", got, path.name, step)
     faults = []
     for name, one in samples.items():
         if np.any(bad := ~(np.abs(one) <= LARGEST)):

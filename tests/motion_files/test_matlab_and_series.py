@@ -182,6 +182,29 @@ def test_series_of_every_kind_of_file(kind, tmp_path):
     assert (recording.reference, recording.quantity) == ("V", "velocity")
 
 
+@pytest.mark.parametrize(("name", "factor"), [("Time [s]", 1.0), ("Time [ms]", 1e3)])
+def test_times_are_read_in_seconds_alone(name, factor, tmp_path):
+    time, drive, responses, freq, _ = multisine()
+    rows = [f"{factor * t:.9g},{a:.9g},{d:.9g}" for t, a, d in zip(time, responses[0], drive, strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join([f"{name},a,d", *rows]) + "\n", encoding="utf-8")
+    facts = FileFacts(channels=channels(tmp_path, (LISTED[0], LISTED[2])), period_s=0.1)
+    if factor == 1.0:
+        assert np.allclose(read_file(tmp_path / "a.csv", facts).freq_hz, freq)
+        return
+    with pytest.raises(StapeskitError) as caught:
+        read_file(tmp_path / "a.csv", facts)
+    assert "time_s" in caught.value.faults[0].got
+
+
+def test_two_sampling_rates_are_refused(tmp_path):
+    time, drive, responses, _, _ = multisine()
+    np.savez(tmp_path / "a.npz", fs=9000.0, time_s=time, a=responses[0], b=responses[1], d=drive)
+    with pytest.raises(StapeskitError) as caught:
+        read_file(tmp_path / "a.npz", FileFacts(channels=channels(tmp_path, LISTED)))
+    assert "8000" in caught.value.faults[0].got
+    assert "9000" in caught.value.faults[0].got
+
+
 def test_a_series_without_its_table_is_refused(tmp_path):
     np.savez(tmp_path / "a.npz", fs=8000.0, a=np.zeros(100))
     with pytest.raises(StapeskitError) as caught:
@@ -196,6 +219,7 @@ SERIES_MISTAKES = {
         ["a,response,stapes,1,z,m/s,", "b,reference,,,,V,", "d,reference,,,,V,"],
         "the table of channels",
     ),
+    "rms of samples": (["a,response,stapes,1,z,mm/s (rms),", "d,reference,,,,V,"], "unit"),
     "no unit": (["a,response,stapes,1,z,V,", "d,reference,,,,V,"], "unit"),
     "another direction": (["a,response,stapes,1,w,m/s,", "d,reference,,,,V,"], "dir"),
     "listed twice": (
