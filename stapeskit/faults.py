@@ -5,7 +5,7 @@ A fault reads ``<thing> must be <expected>; got <value> (<file, row>). <what to 
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Self
@@ -14,7 +14,7 @@ MOST_SENTENCES = 20
 """Sentences of one message: what fits on a screen."""
 
 JOINED_FROM = 6
-"""So many faults that differ only in their row and value become one sentence with ranges of rows."""
+"""So many faults that differ only in their row, file or thing, and value, become one sentence."""
 
 _LONGEST_TEXT = 500  # letters of one field of a fault: longer ones are cut in their middle
 
@@ -112,28 +112,43 @@ def collect_faults(faults: list[Fault]) -> Iterator[None]:
 
 def format_faults(faults: Sequence[Fault]) -> str:
     """Write faults one a line, rows of one kind joined: `MOST_SENTENCES` at most, and a count of the rest."""
-    joined = _join_rows(faults)
+    joined = _join_alike(faults)
     lines = [str(fault) for fault in joined[:MOST_SENTENCES]]
     if len(joined) > MOST_SENTENCES:
         lines.append(f"... and {len(joined) - MOST_SENTENCES} more faults.")
     return "\n".join(lines)
 
 
-def _join_rows(faults: Sequence[Fault]) -> list[Fault]:
-    """Join faults that differ in their row and value only, at the place of the first of them."""
-    groups: dict[Hashable, list[Fault]] = {}
-    for fault in faults:
-        where = replace(fault.where, numbers=()) if isinstance(fault.where, Place) else fault.where
-        groups.setdefault((fault.thing, fault.expected, fault.next_step, where), []).append(fault)
-    joined: list[Fault] = []
-    for group in groups.values():
-        places = [fault.where for fault in group if isinstance(fault.where, Place)]
-        if len(group) < JOINED_FROM or not places:
-            joined += group
-            continue
-        where = replace(places[0], numbers=tuple(number for place in places for number in place.numbers))
-        joined.append(replace(group[0], got=list_some(str(fault.got) for fault in group), where=where))
+def _join_alike(faults: Sequence[Fault]) -> list[Fault]:
+    """Join faults that differ in their row, then in their file, then in their thing, and in their value."""
+    kinds: tuple[Callable[[Fault], Hashable], ...] = (
+        lambda fault: (fault.thing, _without_numbers(fault.where)),
+        lambda fault: fault.thing,
+        lambda fault: (fault.got, _without_numbers(fault.where)),
+    )
+    joined = list(faults)
+    for kind in kinds:
+        groups: dict[Hashable, list[Fault]] = {}
+        for fault in joined:
+            groups.setdefault((kind(fault), fault.expected, fault.next_step), []).append(fault)
+        joined = []
+        for group in groups.values():
+            joined += [_joined(group)] if len(group) >= JOINED_FROM else group
     return joined
+
+
+def _without_numbers(where: str | Place) -> str | Place:
+    return replace(where, numbers=()) if isinstance(where, Place) else where
+
+
+def _joined(group: Sequence[Fault]) -> Fault:
+    """Return one fault for several, with the first of their things, values and places."""
+    thing, got = (list_some(getattr(fault, name) for fault in group) for name in ("thing", "got"))
+    places = [fault.where for fault in group if isinstance(fault.where, Place)]
+    where: str | Place = list_some(filter(None, (str(fault.where) for fault in group)), between="; ")
+    if len(places) == len(group) and len(set(map(_without_numbers, places))) == 1:
+        where = replace(places[0], numbers=tuple(number for place in places for number in place.numbers))
+    return replace(group[0], thing=thing, got=got, where=where)
 
 
 def list_some(texts: Iterable[str], most: int = 3, between: str = ", ") -> str:

@@ -261,6 +261,20 @@ def test_points_of_two_sources_are_refused_where_they_repeat(tmp_path):
     assert "a folder of its own" in found[0].next_step
 
 
+def test_one_mistake_in_many_files_or_columns_is_one_sentence(tmp_path):
+    for number in range(1, 31):
+        block = point_block(number, VELOCITY[0, 0], PLACES_M[0]).replace(b"Imaginary", b"Coherence")
+        written(tmp_path, block, f"scan/{number}.txt")
+    names = ",".join(f"P{k} x Mag [m/s]" for k in range(30)) + ",Q x Mag [m/s],Q x Phase [deg]"
+    wide = written(tmp_path, f"Frequency [Hz],{names}\n400{',1' * 32}\n")
+    for path in (tmp_path / "scan", wide):
+        with pytest.raises(StapeskitError) as caught:
+            read_file(path, FileFacts())
+        assert len(caught.value.faults) == 30
+        assert str(caught.value).count("\n") == 0
+        assert "27 more" in str(caught.value)
+
+
 def test_time_series_of_points_are_refused_with_the_cure(tmp_path):
     block = point_block(1, VELOCITY[0, 0], PLACES_M[0], first="Time")
     assert [fault.thing for fault in faults(written(tmp_path, block, "a.txt"))] == [
