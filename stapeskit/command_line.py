@@ -89,6 +89,7 @@ def _parser(prog: str, text: str, entries: Sequence[Opt], epilog: str) -> argpar
         argument_default=argparse.SUPPRESS,
         formatter_class=lambda prog: argparse.RawDescriptionHelpFormatter(prog, 2, 26, 80),
     )
+    parser.color = False  # type: ignore[attr-defined]  # of Python 3.14; the streams of a command drop its codes
     parser.add_argument("--version", action="version", version=f"{prog} {__version__}")
     help_text = "options from a TOML file; the command line wins"
     parser.add_argument("--config", metavar="FILE.toml", help=help_text)
