@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from threading import Thread
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,8 +22,7 @@ from ct_inertia.frames.footplate import FootplateFrame, footplate_frame, pose_ne
 from ct_inertia.frames.footplate_sd import EXACT, SurfaceError
 from ct_inertia.frames.plate_frame import PlateFrame, plate_frame
 from ct_inertia.inputs import Inputs
-from ct_inertia.mass.properties import MassProperties, point_masses
-from ct_inertia.mass.scale import voxel_scale
+from ct_inertia.mass.properties import point_masses
 from ct_inertia.mass.sizes import impossible, measured_sizes, size_notice, unsuitable, unusual_notice
 from ct_inertia.mass.ways import MassByWay, assumed_notice, disagreements, masses_by_way, not_stated
 from ct_inertia.options import MassOptions
@@ -365,20 +364,14 @@ def _gap(
 
 
 def _ways(work: _Work, moments: Moments, footplate: FootplateFrame) -> tuple[MassByWay, ...]:
-    """Return the mass by every way given, scaled and with what was glued on, the leading one first."""
+    """Return the mass by every way given, with what was glued on, the leading one first."""
     options = work.options
     found = masses_by_way(moments, options.density_kg_m3, options.mass_mg, work.calibration, work.measured)
     if options.density_kg_m3 is None and "density" in found:
         work.notices.insert(0, assumed_notice())
-    spacing = np.ones(3) if work.scan is None else work.scan.spacing_mm
-    scale = voxel_scale(options.scale_length, spacing, options.voxel_size_sd)
-    factor, sd = (1.0, options.voxel_size_sd) if scale is None else (scale.factor, scale.sd)
-    if scale is not None:
-        work.notices.append(scale.notice(spacing))
     added = point_masses(options.add_mass)
-
-    def matrix(body: MassProperties) -> Any:
-        return body.mass_matrix(footplate.scan_from_footplate, footplate.covariance, sd)
-
-    bodies = {way: bare.scaled(factor).with_added(added) for way, bare in found.items()}
-    return tuple(MassByWay(way, body, matrix(body)) for way, body in bodies.items())
+    pose = footplate.scan_from_footplate, footplate.covariance
+    bodies = {way: bare.with_added(added) for way, bare in found.items()}
+    return tuple(
+        MassByWay(way, body, body.mass_matrix(*pose, options.voxel_size_sd)) for way, body in bodies.items()
+    )

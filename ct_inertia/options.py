@@ -25,7 +25,6 @@ from stapeskit.option_types import (
     ZeroOrWithSd,
     numbers,
     require,
-    rows,
 )
 from stapeskit.options import Opt, Options, Rule
 
@@ -57,28 +56,7 @@ def _voxels(value: Any) -> tuple[int, ...]:
     return tuple(int(count) for count in found)
 
 
-def _lengths(value: Any) -> tuple[tuple[float, ...], ...]:
-    def row(entry: Any) -> tuple[float, ...]:
-        if isinstance(entry, str):
-            entry = entry.replace("±", "+-").replace("+-", ",")
-        found = numbers(entry, 8)
-        require(found[6] > 0.0 and found[7] > 0.0)
-        return found
-
-    return tuple(row(entry) for entry in rows(value))
-
-
 Voxels = Annotated[tuple[int, ...], Kind(_voxels, "three whole numbers of voxels x, y, z", "NX,NY,NZ")]
-Lengths = Annotated[
-    tuple[tuple[float, ...], ...],
-    Kind(
-        _lengths,
-        "lengths x0, y0, z0, x1, y1, z1, length+-sd in mm, both positive",
-        "X0,Y0,Z0,X1,Y1,Z1,LENGTH+-SD",
-    ),
-]
-
-
 def is_mesh(path: Path | None) -> bool:
     """Return whether an input is a surface mesh, by its suffix."""
     return path is not None and Path(path).suffix.lower() in MESH_SUFFIXES
@@ -121,7 +99,6 @@ _VOXELS = {
     "seed_mm": "--seed",
     "box_mm": "--box",
     "coat_um": "--coat",
-    "scale_length": "--scale-length",
 }
 
 
@@ -227,15 +204,6 @@ class MassOptions(Options):
     add_mass: Annotated[
         Masses,
         Opt("a bead, glue, a tendon stump: scan mm and mg", _MASS, [[4.1, 5.0, 3.2, 0.06]], repeats=True),
-    ] = ()
-    scale_length: Annotated[
-        Lengths,
-        Opt(
-            "two points in scan mm and their true distance: corrects the voxel size",
-            _MASS,
-            [[1.0, 1.0, 1.0, 1.0, 1.0, 5.0, 4.0, 0.005]],
-            repeats=True,
-        ),
     ] = ()
     voxel_size_sd_percent: Annotated[
         Percent | None, Opt("standard deviation of the voxel size, percent", _MASS, 0.2)

@@ -43,9 +43,9 @@ class PointMass:
     mass_kg: float
     sd_kg: float = 0.0
 
-    def parameters(self, about_mm: Array, length_scale: float = 1.0) -> Array:
+    def parameters(self, about_mm: Array) -> Array:
         """Return its ten inertial parameters about a point (3,) in scan mm, scan axes, SI."""
-        x, y, z = (self.position_mm - about_mm) * (1e-3 * length_scale)
+        x, y, z = (self.position_mm - about_mm) * 1e-3
         tensor = [y * y + z * z, x * x + z * z, x * x + y * y, -x * y, -y * z, -x * z]
         return self.mass_kg * np.array([1.0, x, y, z, *tensor])
 
@@ -77,8 +77,6 @@ class MassProperties:
     added : ndarray, (10,)
         The part of ``parameters`` that added masses make: a wrong voxel size moves them, but their masses
         stay.
-    length_scale : float
-        True length of 1 mm in scan coordinates, mm: applied to all but ``com_mm``.
     """
 
     density_kg_m3: float
@@ -88,32 +86,17 @@ class MassProperties:
     contributions: Mapping[str, Array] = field(default_factory=dict)
     length_powers: Array = field(default_factory=lambda: _POWERS_OF_LENGTH)
     added: Array = field(default_factory=lambda: np.zeros(10))
-    length_scale: float = 1.0
 
     @property
     def mass_kg(self) -> float:
         """Mass of bone and added masses, kg."""
         return float(self.parameters[0])
 
-    def scaled(self, factor: float) -> MassProperties:
-        """Return the properties with voxels larger by a factor; ``com_mm`` remains in scan mm."""
-        powers = factor**self.length_powers
-        return replace(
-            self,
-            density_kg_m3=self.density_kg_m3 * float(powers[0]) / factor**3,
-            volume_m3=self.volume_m3 * factor**3,
-            parameters=self.parameters * powers,
-            contributions={
-                name: part * np.outer(powers, powers) for name, part in self.contributions.items()
-            },
-            length_scale=factor,
-        )
-
     def with_added(self, added: Sequence[PointMass]) -> MassProperties:
         """Add point masses; the properties are about the common centre of mass afterwards."""
         if not added:
             return self
-        every = [mass.parameters(self.com_mm, self.length_scale) for mass in added]
+        every = [mass.parameters(self.com_mm) for mass in added]
         points = np.sum(every, axis=0)
         contributions = dict(self.contributions)
         steps = [of * (mass.sd_kg / mass.mass_kg) for mass, of in zip(added, every, strict=True)]
@@ -124,7 +107,7 @@ class MassProperties:
         linear = parameter_transfer(np.eye(3), shift_m)
         return replace(
             self,
-            com_mm=self.com_mm + shift_m * 1e3 / self.length_scale,
+            com_mm=self.com_mm + shift_m * 1e3,
             parameters=linear @ parameters,
             contributions={name: linear @ part @ linear.T for name, part in contributions.items()},
             added=linear @ (self.added + points),
@@ -151,7 +134,7 @@ class MassProperties:
         The errors of the moments are taken as independent of those of the frame: both come from the same grey
         values, but from other voxels (the whole boundary here, the footplate's medial face there).
         """
-        shift_m = (scan_from_footplate.translation_mm - self.com_mm) * (1e-3 * self.length_scale)
+        shift_m = (scan_from_footplate.translation_mm - self.com_mm) * 1e-3
         linear = parameter_transfer(scan_from_footplate.rotation.T, shift_m)
         parameters = linear @ self.parameters
         contributions = {name: linear @ part @ linear.T for name, part in self.contributions.items()}

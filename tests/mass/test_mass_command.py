@@ -268,7 +268,7 @@ def test_labels_that_were_corrected_in_place_stay(study: Study, tmp_path: Path) 
         ({"labels": "mesh", "close": True}, "--close"),
         ({"scan": "mesh", "stapes_label": 2}, "--stapes-label and --plate-label"),
         ({"scan": "mesh", "anterior": (0, 0, 0)}, "anterior"),
-        ({"scan": "mesh", "scale_length": (1, 2, 3)}, "scale_length"),
+        ({"scan": "mesh", "spacing": (1, 2, 3)}, "--spacing"),
         ({"scan": "mesh", "side": "up"}, "side"),
         ({"scan": "nowhere.tif"}, "scan"),
         ({"scan": "mesh", "densty": 3}, "densty"),
