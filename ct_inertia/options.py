@@ -57,6 +57,8 @@ def _voxels(value: Any) -> tuple[int, ...]:
 
 
 Voxels = Annotated[tuple[int, ...], Kind(_voxels, "three whole numbers of voxels x, y, z", "NX,NY,NZ")]
+
+
 def is_mesh(path: Path | None) -> bool:
     """Return whether an input is a surface mesh, by its suffix."""
     return path is not None and Path(path).suffix.lower() in MESH_SUFFIXES

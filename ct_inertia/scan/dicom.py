@@ -1,6 +1,4 @@
-"""DICOM series and multi-frame files: headers by pydicom, packed pixels by SimpleITK.
-
-A scan is a list of frames, each in a file; every frame is rescaled by its own slope and intercept.
+"""DICOM series: headers by pydicom, packed pixels by SimpleITK; every slice is rescaled by its own header.
 
 The standard: https://dicom.nema.org/medical/dicom/current/output/html/part03.html
 """
@@ -38,31 +36,14 @@ _APART = "Put the slices of one scan into a folder of their own"
 
 
 @dataclass(frozen=True)
-class _Frame:
-    """One picture.
-
-    Attributes
-    ----------
-    file : Path
-    number : int
-        In the file.
-    head : Dataset
-        Of the file.
-    groups : tuple of Dataset
-        Fields of the frame alone, then those that the frames of the file share (PS3.3, C.7.6.16).
-    """
+class _Slice:
+    """A file of one picture, and its header."""
 
     file: Path
-    number: int
     head: Any
-    groups: tuple[Any, ...] = ()
 
     def get(self, name: str, default: Any = None) -> Any:
-        """Return a field, or the default where it is nowhere or empty."""
-        for group in self.groups:
-            for element in group:
-                if element.VR == "SQ" and len(element.value) and name in element.value[0]:
-                    return element.value[0].get(name)
+        """Return a field, or the default where it is not there or empty."""
         value = self.head.get(name)
         return default if value in (None, "") else value
 
@@ -76,88 +57,86 @@ class _Frame:
 
 
 def open_dicom(path: Path) -> Stored:
-    """Open the DICOM series of a folder, or a file of several frames."""
-    heads, others = _only_series(path) if path.is_dir() else ({path: _head(path)}, 0)
-    frames = [frame for file, head in heads.items() for frame in _frames(file, head)]
-    first, step = frames[0], "Give the folder of the whole series"
-    if "Rows" not in first.head:
-        kind = getattr(first.head.get("SOPClassUID"), "name", "another kind of DICOM file")
-        raise StapeskitError.of(
-            "the DICOM file", "one of images", f"{kind}, without an image", next_step=step
-        )
-    if len(frames) < 2:
-        raise StapeskitError.of("the DICOM file", "one of several frames", "a single slice", next_step=step)
-    _check_alike(frames)
-    stored = Stored((len(frames), int(first.head.Rows), int(first.head.Columns)), _dtype(frames))
-    stored.white_is_zero = first.get("PhotometricInterpretation") == "MONOCHROME1"
+    """Open the DICOM series of a folder.
+
+    Raises
+    ------
+    StapeskitError
+        A file alone, several series, or slices that make no even stack of grey values.
+    """
+    if not path.is_dir():
+        raise _not_a_series(_slice(path))
+    slices, others = _only_series(path)
+    if len(slices) < 2:
+        raise _not_a_series(slices[0])
+    _check_alike(slices)
+    first = slices[0].head
+    stored = Stored((len(slices), int(first.Rows), int(first.Columns)), _dtype(slices))
+    stored.white_is_zero = slices[0].get("PhotometricInterpretation") == "MONOCHROME1"
     if others:
         stored.note(
             f"{others} single pictures of other series in {path.name}, such as scouts, were left out."
         )
-    held: dict[Path, NDArray[Any]] = {}  # the frames of the file that was read last
-
-    def decode(frame: _Frame) -> NDArray[Any]:
-        if frame.file not in held:
-            held.clear()
-            held[frame.file] = _pixels(frame, stored)
-        return held[frame.file][frame.number]
-
-    stored.voxels = by_planes(_placed(stored, frames), decode)
+    stored.voxels = by_planes(_placed(stored, slices), lambda one: _pixels(one, stored))
     return stored
 
 
-def _only_series(folder: Path) -> tuple[dict[Path, Any], int]:
-    """Return the headers of the only series of a folder, and the number of single pictures beside it."""
-    heads, series = {}, defaultdict(list)
+def _not_a_series(one: _Slice) -> StapeskitError:
+    """Return the error for a file that is no part of a series of slices."""
+    got = "a single slice"
+    if "Rows" not in one.head:
+        got = f"{getattr(one.get('SOPClassUID'), 'name', 'another kind of DICOM file')}, without an image"
+    elif int(one.get("NumberOfFrames", 1)) > 1:
+        got = f"{one.get('NumberOfFrames')} frames in one file"
+    step = "Give the folder of the whole series, with a file for each slice"
+    return StapeskitError.of("the DICOM file", "one slice of a series in a folder", got, one.file.name, step)
+
+
+def _only_series(folder: Path) -> tuple[list[_Slice], int]:
+    """Return the slices of the only series of a folder, and the number of single pictures beside it."""
+    series = defaultdict(list)
     for file in sorted(file for file in folder.iterdir() if file.is_file() and not file.name.startswith(".")):
         if has_preamble(file) or file.suffix.lower() in DICOM_SUFFIXES:
-            head = _head(file)
-            if "Rows" in head:  # others are directories of a disk, reports, presentation states
-                heads[file] = head
-                series[str(head.get("SeriesInstanceUID", ""))].append(file)
-    stacks = [files for files in series.values() if len(files) > 1] if len(series) > 1 else [*series.values()]
+            one = _slice(file)
+            if "Rows" in one.head:  # others are directories of a disk, reports, presentation states
+                series[str(one.get("SeriesInstanceUID", ""))].append(one)
+    stacks = [one for one in series.values() if len(one) > 1] if len(series) > 1 else [*series.values()]
     if len(stacks) != 1:
-        titles = [f"{_title(heads[files[0]])} ({len(files)} files)" for files in series.values()]
+        titles = [f"{_title(one[0])} ({len(one)} files)" for one in series.values()]
         got = f"{len(series)} series{': ' if titles else ''}{list_some(titles, 6)}"
         raise StapeskitError.of("the folder", "one DICOM series", got, next_step=_APART)
-    return {file: heads[file] for file in stacks[0]}, len(heads) - len(stacks[0])
+    framed = next((one for one in stacks[0] if int(one.get("NumberOfFrames", 1)) > 1), None)
+    if framed is not None:
+        raise _not_a_series(framed)
+    return stacks[0], sum(len(one) for one in series.values()) - len(stacks[0])
 
 
-def _title(head: Any) -> str:
-    return str(head.get("SeriesDescription") or f"series {head.get('SeriesNumber', '')}").strip()
+def _title(one: _Slice) -> str:
+    return str(one.get("SeriesDescription") or f"series {one.get('SeriesNumber', '')}").strip()
 
 
-def _head(file: Path) -> Any:
+def _slice(file: Path) -> _Slice:
     import pydicom
 
     head = pydicom.dcmread(file, stop_before_pixels=True, force=not has_preamble(file))
     if len(head) == 0 or ("Rows" in head and not (int(head.Rows) > 0 and int(head.Columns) > 0)):
         raise wrong_file("DICOM file", "one without fields or pixels", file.name)
-    return head
+    return _Slice(file, head)
 
 
-def _frames(file: Path, head: Any) -> list[_Frame]:
-    own = head.get("PerFrameFunctionalGroupsSequence") or []
-    shared = list(head.get("SharedFunctionalGroupsSequence") or [])[:1]
-    count = int(head.get("NumberOfFrames") or 1)
-    if count > file.stat().st_size:
-        raise wrong_file("DICOM file", f"one of {count} frames", file.name)
-    return [_Frame(file, k, head, (*own[k : k + 1], *shared)) for k in range(count)]
-
-
-def _check_alike(frames: Sequence[_Frame]) -> None:
+def _check_alike(slices: Sequence[_Slice]) -> None:
     for name, (count, rounding) in _ALIKE.items():
-        values = np.array([frame.numbers(name, count) for frame in frames])
+        values = np.array([one.numbers(name, count) for one in slices])
         same = np.all(np.isclose(values, values[0], rtol=0.0, atol=rounding, equal_nan=True), axis=1)
         if not np.all(same):
             wanted, got = (", ".join(f"{v:.6g}" for v in values[k]) for k in (0, int(np.argmin(same))))
-            wanted = f"of the {name} of {frames[0].file.name} ({wanted})"
-            thing = f"slice {frames[int(np.argmin(same))].file.name}"
+            wanted = f"of the {name} of {slices[0].file.name} ({wanted})"
+            thing = f"slice {slices[int(np.argmin(same))].file.name}"
             raise StapeskitError.of(thing, wanted, got, next_step=_APART)
 
 
-def _placed(stored: Stored, frames: Sequence[_Frame]) -> list[_Frame]:
-    """Set the place of frames, and return them in the order of their positions.
+def _placed(stored: Stored, slices: Sequence[_Slice]) -> list[_Slice]:
+    """Set the place of slices, and return them in the order of their positions.
 
     Raises
     ------
@@ -165,14 +144,14 @@ def _placed(stored: Stored, frames: Sequence[_Frame]) -> list[_Frame]:
         Some have no positions, their distances are uneven, or they lie beside each other, as a tilted gantry
         makes them: their voxels are no boxes.
     """
-    places = np.array([frame.numbers("ImagePositionPatient", 3) for frame in frames])
-    axes = frames[0].numbers("ImageOrientationPatient", 6)
+    places = np.array([one.numbers("ImagePositionPatient", 3) for one in slices])
+    axes = slices[0].numbers("ImageOrientationPatient", 6)
     direction = np.column_stack([axes[:3], axes[3:], np.cross(axes[:3], axes[3:])])
     heights = places @ direction[:, 2]
-    y, x = frames[0].numbers("PixelSpacing", 2)
+    y, x = slices[0].numbers("PixelSpacing", 2)
     if not np.any(np.isfinite(heights)):
         stored.spacing_mm = np.array([x, y, np.nan])
-        return _numbered(stored, frames)
+        return _numbered(stored, slices)
     if not np.all(np.isfinite(heights)) or not np.ptp(heights) > 0.0:
         wanted, step = "at positions (ImagePositionPatient)", "Export them with positions, or as TIFF slices"
         got = "one for all" if np.all(np.isfinite(heights)) else "none in some of them"
@@ -193,20 +172,19 @@ def _placed(stored: Stored, frames: Sequence[_Frame]) -> list[_Frame]:
         raise StapeskitError.of("the slices", wanted, got, next_step=step)
     stored.spacing_mm = np.array([x, y, np.mean(steps)])
     stored.origin_mm, stored.direction, stored.anatomical = places[order[0]], direction, True
-    return [frames[k] for k in order]
+    return [slices[k] for k in order]
 
 
-def _numbered(stored: Stored, frames: Sequence[_Frame]) -> list[_Frame]:
-    """Return frames without positions in the order of their numbers; the user states their distance.
+def _numbered(stored: Stored, slices: Sequence[_Slice]) -> list[_Slice]:
+    """Return slices without positions in the order of their numbers; the user states their distance.
 
     Raises
     ------
     StapeskitError
         They have no numbers, or one twice.
     """
-    numbers = [(frame.numbers("InstanceNumber", 1)[0], frame.number) for frame in frames]
-    single = len({frame.file for frame in frames}) == 1
-    if not single and (np.any(np.isnan(numbers)) or len(set(numbers)) < len(frames)):
+    numbers = np.array([one.numbers("InstanceNumber", 1)[0] for one in slices])
+    if len(np.unique(numbers[np.isfinite(numbers)])) < len(slices):
         wanted, step = "at positions or numbered", "Export them with positions, or as TIFF slices"
         got = "neither ImagePositionPatient nor an InstanceNumber of its own in each"
         raise StapeskitError.of("the slices", wanted, got, next_step=step)
@@ -216,41 +194,38 @@ def _numbered(stored: Stored, frames: Sequence[_Frame]) -> list[_Frame]:
         "stated.",
         "slice_positions_missing",
     )
-    if single:
-        return list(frames)
-    return [frames[k] for k in sorted(range(len(frames)), key=numbers.__getitem__)]
+    return [slices[k] for k in np.argsort(numbers)]
 
 
-def _dtype(frames: Sequence[_Frame]) -> np.dtype[Any]:
-    """Return the type of the rescaled pixels of all frames.
+def _dtype(slices: Sequence[_Slice]) -> np.dtype[Any]:
+    """Return the type of the rescaled pixels of all slices.
 
     Raises
     ------
     StapeskitError
-        Colours, another type of pixels, or a rescaling that is none or differs within a file.
+        Colours, another type of pixels, or a rescaling that is none.
     """
-    first = frames[0]
+    first = slices[0]
     if int(first.get("SamplesPerPixel", 1)) > 1 or first.get("PhotometricInterpretation") == "PALETTE COLOR":
         raise several_values("a colour image", first.file.name)
     bits, signed = int(first.get("BitsAllocated", 0)), int(first.get("PixelRepresentation", 0))
     if bits not in (8, 16, 32):
         step = "Export grey values of one type"
         raise StapeskitError.of("the DICOM pixels", "of 8, 16 or 32 bits", f"{bits} bits", next_step=step)
-    rescaling = {frame.file: _rescaling(frame) for frame in frames}
-    alike = all(_rescaling(frame) == rescaling[frame.file] for frame in frames)
-    if not alike or not np.all(np.isfinite([*rescaling.values()])):
-        got, step = "others in one file, or no numbers", "Export the series as single slices"
-        raise StapeskitError.of("the rescaling", "one slope and offset a file", got, next_step=step)
-    scaled = set(rescaling.values()) != {(1.0, 0.0)}
+    rescaling = {_rescaling(one) for one in slices}
+    if not np.all(np.isfinite([*rescaling])):
+        step = "Export the series again"
+        raise StapeskitError.of("the rescaling", "a slope and an offset", "no numbers", next_step=step)
+    scaled = rescaling != {(1.0, 0.0)}
     return np.dtype(np.float32 if scaled else f"{'i' if signed else 'u'}{bits // 8}")
 
 
-def _rescaling(frame: _Frame) -> tuple[float, float]:
-    return float(frame.get("RescaleSlope", 1.0)), float(frame.get("RescaleIntercept", 0.0))
+def _rescaling(one: _Slice) -> tuple[float, float]:
+    return float(one.get("RescaleSlope", 1.0)), float(one.get("RescaleIntercept", 0.0))
 
 
-def _pixels(frame: _Frame, stored: Stored) -> NDArray[Any]:
-    """Return the pixels [frame, y, x] of the file of a frame, rescaled by the slope and offset of the file.
+def _pixels(one: _Slice, stored: Stored) -> NDArray[Any]:
+    """Return the pixels [y, x] of a slice, rescaled by its own slope and offset.
 
     Notes
     -----
@@ -262,9 +237,9 @@ def _pixels(frame: _Frame, stored: Stored) -> NDArray[Any]:
     import pydicom
 
     try:
-        values = None if stored.white_is_zero else _by_itk(frame.file)
+        values = None if stored.white_is_zero else _by_itk(one.file)
         if values is None:
-            head = pydicom.dcmread(frame.file, force=True)
+            head = pydicom.dcmread(one.file, force=True)
             try:
                 values = head.pixel_array
             except RuntimeError:  # packed
@@ -274,14 +249,14 @@ def _pixels(frame: _Frame, stored: Stored) -> NDArray[Any]:
                     head.save_as(copy.name)
                     values = _by_itk(Path(copy.name))
             else:
-                slope, intercept = _rescaling(frame)
                 if stored.dtype.kind == "f":
+                    slope, intercept = _rescaling(one)
                     values = values * np.float32(slope) + np.float32(intercept)
         if values is None:
             raise ValueError
-        return values.reshape(-1, *stored.shape[1:]).astype(stored.dtype, casting="same_kind", copy=False)
+        return values.reshape(stored.shape[1:]).astype(stored.dtype, casting="same_kind", copy=False)
     except (RuntimeError, ValueError, TypeError, AttributeError) as fault:
-        raise wrong_file("DICOM file", "one whose pixels cannot be read", frame.file.name) from fault
+        raise wrong_file("DICOM file", "one whose pixels cannot be read", one.file.name) from fault
 
 
 def _by_itk(file: Path) -> NDArray[Any] | None:

@@ -86,7 +86,7 @@ _AMIRA = "also Avizo: binary voxels that are not packed, spacing, origin, names 
 _LAYOUT = (
     "as `--shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N]` say (also keys of `[scan]`)"
 )
-_DICOM = "series and multi-frame: order by position, rescaling of every file; several series are listed"
+_DICOM = "a series of slices: order by position, rescaling of every slice; several series are listed"
 _SLICES = (
     "TIFF, PNG, BMP, JPEG in the order of their numbers, gaps reported; pixel size of the Bruker/SkyScan "
     "reconstruction log"

@@ -238,53 +238,6 @@ def dicom(path, array, series="1", packed=False, **tags):
     return path
 
 
-def element(group, number, kind, value):
-    value = value.encode() if isinstance(value, str) else value
-    value += b"\0" * (len(value) % 2)
-    long = kind in ("OW", "SQ")
-    length = struct.pack("<HI", 0, len(value)) if long else struct.pack("<H", len(value))
-    return struct.pack("<HH", group, number) + kind.encode() + length + value
-
-
-def item(*elements):
-    content = b"".join(elements)
-    return struct.pack("<HHI", 0xFFFE, 0xE000, len(content)) + content
-
-
-def enhanced(path, array, heights=None, rescaling=None):
-    """An Enhanced CT image whose frames lie at these heights (DICOM PS3.3, A.38 and C.7.6.16)."""
-    heights = SPACING[2] * np.arange(len(array)) if heights is None else heights
-    kind = "1.2.840.10008.5.1.4.1.1.2.1"
-    numbers = {0x10: array.shape[1], 0x11: array.shape[2], 0x100: 16, 0x101: 16, 0x102: 15, 0x103: 0}
-    shared = item(
-        element(0x28, 0x9110, "SQ", item(element(0x28, 0x30, "DS", f"{SPACING[1]}\\{SPACING[0]}"))),
-        element(0x20, 0x9116, "SQ", item(element(0x20, 0x37, "DS", "1\\0\\0\\0\\1\\0"))),
-    )
-    frames = []
-    for k, z in enumerate(heights):
-        groups = [element(0x20, 0x9113, "SQ", item(element(0x20, 0x32, "DS", f"0\\0\\{z:g}")))]
-        if rescaling is not None:
-            slope, intercept = rescaling[k]
-            values = element(0x28, 0x1052, "DS", f"{intercept:g}") + element(0x28, 0x1053, "DS", f"{slope:g}")
-            groups.append(element(0x28, 0x9145, "SQ", item(values)))
-        frames.append(item(*groups))
-    head = (
-        element(2, 2, "UI", kind) + element(2, 3, "UI", "1.2.3") + element(2, 16, "UI", "1.2.840.10008.1.2.1")
-    )
-    content = [
-        bytes(128) + b"DICM" + element(2, 0, "UL", struct.pack("<I", len(head))) + head,
-        element(8, 0x16, "UI", kind) + element(8, 0x18, "UI", "1.2.3") + element(8, 0x60, "CS", "CT"),
-        element(0x28, 0x02, "US", struct.pack("<H", 1)) + element(0x28, 0x04, "CS", "MONOCHROME2 "),
-        element(0x28, 0x08, "IS", str(len(array))),
-        *(element(0x28, n, "US", struct.pack("<H", v)) for n, v in numbers.items()),
-        element(0x5200, 0x9229, "SQ", shared),
-        element(0x5200, 0x9230, "SQ", b"".join(frames)),
-        element(0x7FE0, 0x10, "OW", array.astype("<u2").tobytes()),
-    ]
-    path.write_bytes(b"".join(content))
-    return path
-
-
 def raw(path, array, big=False, header=0):
     path.write_bytes(bytes(header) + array.astype(array.dtype.newbyteorder(">" if big else "<")).tobytes())
     return path

@@ -24,7 +24,7 @@ FOLDERS = {
 }
 """Where the packages of the tests keep the files that they are tested with."""
 
-SINGLE, COLOUR, TIMES = "the DICOM file", "the volume", "the volume"
+SINGLE, TIMES = "the DICOM file", "the volume"
 
 SCANS: dict[tuple[str, str], tuple[int, ...] | str] = {
     ("nibabel", "standard.nii.gz"): (7, 5, 4),
@@ -43,15 +43,15 @@ SCANS: dict[tuple[str, str], tuple[int, ...] | str] = {
     ("nibabel", "minc2_4d.mnc"): "the scan",
     ("nibabel", "scaled+tlrc.BRIK"): "the scan",
     ("nibabel", "tinypet.v"): "the scan",
-    ("pydicom", "rtdose.dcm"): "the slices",  # one position for all
+    ("pydicom", "rtdose.dcm"): SINGLE,  # frames in one file
     ("pydicom", "rtplan.dcm"): SINGLE,  # a plan, without an image
     ("pydicom", "CT_small.dcm"): SINGLE,
     ("pydicom", "MR_small_RLE.dcm"): SINGLE,
     ("pydicom", "MR_truncated.dcm"): SINGLE,
     ("pydicom", "JPEG2000.dcm"): SINGLE,
     ("pydicom", "no_meta.dcm"): SINGLE,
-    ("pydicom", "SC_rgb_rle_2frame.dcm"): COLOUR,
-    ("pydicom", "SC_rgb_rle_32bit_2frame.dcm"): COLOUR,
+    ("pydicom", "SC_rgb_rle_2frame.dcm"): SINGLE,
+    ("pydicom", "SC_rgb_rle_32bit_2frame.dcm"): SINGLE,
     ("pydicom", "badVR.dcm"): "the scan",
     ("pydicom", "dicomdirtests"): "the folder",
     ("pydicom", "zipMR.gz"): "the scan",

@@ -95,7 +95,7 @@ def test_a_cut_file_is_refused(tmp_path, name, share):
 
 DAMAGED = (
     *("imagej.tif", "imagej_lzw.tif", "zip.nrrd", "zip.mha", "a.nii.gz", "a.isq", "a30.aim", "a.vgi"),
-    *("a.am", "enhanced.dcm", "dicom_jpeg", "v05.zarr", "folder_png"),
+    *("a.am", "dicom_jpeg", "v05.zarr", "folder_png"),
 )
 
 

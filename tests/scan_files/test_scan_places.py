@@ -67,18 +67,6 @@ def test_a_left_handed_grid_is_turned_and_every_voxel_keeps_its_place(tmp_path, 
     assert np.array_equal(scan.read(some), voxels[some])
 
 
-def test_dicom_frames_from_the_far_end_to_the_near_one_stay_where_they_are(tmp_path):
-    heights = 3.0 + SPACING[2] * np.arange(7)
-    w.enhanced(tmp_path / "up.dcm", picture(), heights)
-    w.enhanced(tmp_path / "down.dcm", picture()[::-1], heights[::-1])
-    for name in ("up.dcm", "down.dcm"):
-        scan = open_scan(tmp_path / name)
-        assert np.array_equal(scan.read(), picture())
-        assert scan.scan_from_index[:3, 3] == pytest.approx([0.0, 0.0, 3.0])
-        assert scan.spacing_mm == pytest.approx(SPACING)
-        assert scan.handedness_confirmed
-
-
 SPACES = {
     **{"left-posterior-superior": (1, 1, 1), "LPS": (1, 1, 1)},
     **{"right-anterior-superior": (-1, -1, 1), "RAS": (-1, -1, 1)},
@@ -271,10 +259,6 @@ def test_every_dicom_slice_is_rescaled_by_its_own(tmp_path, packed):
     assert np.abs(scan.read() - picture("i2")).max() <= 1.0
     w.dicom(tmp_path / "d", picture("i2")[:1], packed=packed, **{"0028|1052": "-7", "0028|1053": "1"})
     assert np.array_equal(open_scan(tmp_path / "d").read()[0], picture("i2")[0])
-    scan = open_scan(w.enhanced(tmp_path / "e.dcm", picture(), rescaling=[(2.0, -10.0)] * 7))
-    assert np.array_equal(scan.read(), picture() * 2.0 - 10.0)
-    rescaling = [(1.0 + k, -10.0 * k) for k in range(7)]
-    assert refused(w.enhanced(tmp_path / "f.dcm", picture(), rescaling=rescaling)).thing == "the rescaling"
 
 
 @pytest.mark.parametrize(("aside_voxels", "good"), [(0.05, True), (2.0, False)])

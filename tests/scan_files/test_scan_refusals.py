@@ -323,7 +323,9 @@ def test_dicom_folders(tmp_path):
     assert refused(folder).thing == "the distance of DICOM slices"
     two = w.dicom(w.dicom(tmp_path / "two", picture("i2")), picture("i2"), series="2")
     assert "ear 1 (7 files), ear 2 (7 files)" in refused(two).got
-    assert refused(two / "1_9.dcm").expected == "one of several frames"
+    assert refused(two / "1_9.dcm").got == "a single slice"
+    frames = w.itk(tmp_path / "frames.dcm", picture("u2"))
+    assert refused(frames).got == "7 frames in one file"
     scout = w.dicom(w.dicom(tmp_path / "scout", picture("i2")), picture("i2")[:1], series="9")
     scan = open_scan(scout)
     assert np.array_equal(scan.read(), picture("i2"))
