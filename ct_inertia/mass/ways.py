@@ -74,22 +74,13 @@ class MassByWay:
         return self.way in self.matrix.contributions
 
     def as_json(self, leading: MassMatrix) -> dict[str, Any]:
-        """Return mass, implied density and the change of the mass matrix against the leading one."""
-        centre = self.matrix.parameters[1:4] / self.matrix.parameters[0]
-        usual = leading.parameters[1:4] / leading.parameters[0]
-        root = np.sqrt(np.diag(leading.matrix))
-        change = (self.matrix.matrix - leading.matrix) / np.outer(root, root)
+        """Return mass, implied density and the change of the mass against the leading one."""
         return {
             "by": self.way,
             "mass_kg": self.body.mass_kg,
-            "mass_sd_kg": float(self.matrix.standard_deviation[0, 0]),
-            "mass_sd_stated": self.stated,
+            "mass_sd_kg": float(self.matrix.standard_deviation[0, 0]) if self.stated else None,
             "density_kg_m3": self.body.density_kg_m3,
             "mass_change_percent": 100.0 * (self.body.mass_kg / float(leading.parameters[0]) - 1.0),
-            "center_of_mass_change_m": (centre - usual).tolist(),
-            "matrix_si": self.matrix.matrix.tolist(),
-            "largest_matrix_change_percent": 100.0 * float(np.max(np.abs(change))),
-            "matrix_change_of": "sqrt(Mii Mjj) of the leading matrix",
         }
 
 

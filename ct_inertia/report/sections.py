@@ -309,12 +309,10 @@ def ways_blocks(content: Content) -> list[Markup]:
             Quantity(content["mass_kg"], sd, MASS),
             content["density_kg_m3"],
             "",
-            "",
         )
     ]
     for way in others:
-        mass = Quantity(way["mass_kg"], way["mass_sd_kg"] if way["mass_sd_stated"] else None, MASS)
-        shift = SMALL_LENGTH.of(float(np.linalg.norm(way["center_of_mass_change_m"])))
-        rows.append((WAYS[way["by"]].words, mass, way["density_kg_m3"], way["mass_change_percent"], shift))
-    head = ("mass by", "mass", "bone (kg/m³)", "change (%)", "centre moves (µm)")
+        mass = Quantity(way["mass_kg"], way["mass_sd_kg"], MASS)
+        rows.append((WAYS[way["by"]].words, mass, way["density_kg_m3"], way["mass_change_percent"]))
+    head = ("mass by", "mass", "bone (kg/m³)", "change (%)")
     return [page.table(head, rows)]

@@ -93,28 +93,7 @@ def open_aim(path: Path) -> Stored:
     else:
         stored.spacing_mm = cell[:, ::-1].copy().view("<f4")[:, 0].astype(float) / 4.0
     stored.origin_mm = np.nan_to_num(head["place"] * stored.spacing_mm)
-    _note_density(stored, content[log : log + log_bytes].decode("latin-1"), path.name)
     return stored
-
-
-def _note_density(stored: Stored, log: str, name: str) -> None:
-    """Report the line from grey value to density in the processing log, as points for a calibration file."""
-    entries = {
-        key.strip(): value.strip() for key, _, value in (line.partition("  ") for line in log.splitlines())
-    }
-    try:
-        words = [entries[key] for key in ("Mu_Scaling", "Density: slope", "Density: intercept")]
-        scaling, slope, intercept = (float(word) for word in words)
-    except (KeyError, ValueError):
-        return
-    if not (scaling > 0.0 and slope > 0.0 and np.isfinite(slope * scaling + intercept)):
-        return
-    stored.note(
-        f"{name} has the line density = {slope:.6g} * grey value / {scaling:.6g} + {intercept:.6g} "
-        f"{entries.get('Density: unit') or 'mg HA/ccm'}. For a density of every voxel write "
-        f"points_mg_ha_cm3 = [[0, {intercept:.6g}], [{2.0 * scaling:.0f}, {2.0 * slope + intercept:.6g}]] "
-        f"into the file of --calibration."
-    )
 
 
 def open_vgi(path: Path) -> Stored:

@@ -23,10 +23,7 @@ def isq(path, array):
 
 AIM_TYPES = {"i1": 0x00010001, "u1": 0x00160001, "i2": 0x00020002, "u2": 0x00170002, "i4": 0x00030004}
 AIM_TYPES |= {"f4": 0x001A0004}
-AIM_LOG = (
-    b"! Processing Log\nMu_Scaling                    8192\nDensity: unit               mg HA/ccm\n"
-    b"Density: slope              1.6e+03\nDensity: intercept          -3.9e+02\n"
-)
+AIM_LOG = b"! Processing Log\nMu_Scaling                    8192\n"
 
 
 def aim(path, array, position=(0, 0, 0)):

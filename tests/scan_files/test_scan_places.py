@@ -294,13 +294,10 @@ def test_dicom_slices_without_positions_are_stacked_by_number_at_the_distance_gi
     assert refused(without(series, "InstanceNumber")).thing == "the slices"
 
 
-def test_density_lines_and_places_of_aim_files(tmp_path):
+def test_places_of_aim_files(tmp_path):
     for write in (own.aim, own.aim30):
         scan = open_scan(write(tmp_path / "a.aim", picture("i2"), position=(10, 20, -30)))
         assert scan.origin_mm == pytest.approx(SPACING * [10, 20, -30])
-        # 1600 mg HA/cm3 for a linear attenuation of 1/cm, stored 8192 times.
-        (text,) = read_as(scan)
-        assert "points_mg_ha_cm3 = [[0, -390], [16384, 2810]]" in text
 
 
 def test_zarr_translations_units_collections_and_missing_chunks(tmp_path):
