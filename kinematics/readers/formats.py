@@ -47,7 +47,8 @@ class Head:
         """As what table of numbers its text begins: ``psv``, ``series``, ``wide`` or none of them, empty."""
         from kinematics.readers.psv import is_fastscan, is_of_point
         from kinematics.readers.sheets import sheets_of
-        from kinematics.readers.wide import is_wide
+        from kinematics.readers.wide import is_frequency
+        from stapeskit.units import unit_of
 
         binary = self.content.startswith((_ZIP, _COMPOUND))
         sheets = [] if binary else sheets_of(decoded(self.content), "", [])
@@ -56,10 +57,11 @@ class Head:
         if is_of_point(sheets[0]) or is_fastscan(sheets[0]):
             return "psv"
         low = {name.strip('"').lower() for name in sheets[0].names}
-        timed = any(name.startswith(("time", "zeit")) for name in low)
-        if timed or not _TIDY.isdisjoint(low):
-            return "series" if timed and _TIDY.isdisjoint(low) else ""
-        return "wide" if is_wide(sheets[0]) else ""
+        if not _TIDY.isdisjoint(low) or any(map(unit_of, low)):
+            return ""
+        if any(name.startswith(("time", "zeit")) for name in low):
+            return "series"
+        return "wide" if any(map(is_frequency, sheets[0].names)) else ""
 
 
 @dataclass(frozen=True)

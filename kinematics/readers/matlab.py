@@ -21,7 +21,7 @@ from kinematics.readers.facts import FileFacts, direction_of
 from kinematics.readers.gather import from_parts, recording_of
 from kinematics.readers.recording import Recording, Row, unknown_vector
 from kinematics.readers.text import plain_name
-from kinematics.readers.tree import STRINGS, read_tree
+from kinematics.readers.tree import OPAQUE, read_tree
 from kinematics.readers.units import HERTZ, LENGTHS
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, collect_faults, list_some, raise_all
@@ -43,7 +43,10 @@ VALUES = ("y", "v", "amp", "vib", "fft", "frf", "h1", "h2", "value")
 _VALUE = re.compile(rf"((?:{'|'.join(VALUES)})?(?:_?([xyz]))?)_?(re|im|real|imag)?")
 _DESCRIPTIONS = ("usd", "usd_x", "usd_y", "usd_z")
 _DOF_TEXT = re.compile(r"ptc(Plus|Minus)([XYZ])Translation")  # names of Polytec's PTCDirection
-_STRING_STEP = "Save it as char or cell array: names = cellstr(names); unit = char(unit); then save again"
+_OPAQUE_STEP = (
+    "Save them as char, cell array or numbers: names = cellstr(names); unit = char(unit); y = table.y; then "
+    "save again"
+)
 _STEP = (
     "Name them freq_hz and y (points x frequencies, complex), or amp_x, amp_y, amp_z, with unit and xyz, in "
     "the file or in one struct, and save again; time series need --channels FILE"
@@ -61,12 +64,12 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     """
     path, notices = Path(path), list[Notice]()
     tree = read_tree(path)
-    strings = [name for name, value in tree.items() if isinstance(value, str) and value == STRINGS]
-    unread = f"MATLAB string arrays ({', '.join(strings)})"
-    if strings:
-        notices.append(Notice("file_read", f"{path.name}: {unread} were not read. {_STRING_STEP}."))
+    opaque = [name for name, value in tree.items() if isinstance(value, str) and value == OPAQUE]
+    unread = f"MATLAB strings, tables or objects ({', '.join(opaque)})"
+    if opaque:
+        notices.append(Notice("file_read", f"{path.name}: {unread} were not read. {_OPAQUE_STEP}."))
     try:
-        held = _variables_of({name: one for name, one in tree.items() if name not in strings}, path.name)
+        held = _variables_of({name: one for name, one in tree.items() if name not in opaque}, path.name)
         if unknown := list_some((name for one in held for name in one.unknown()), 12):
             text = f"{path.name}: {unknown} have a value a frequency, but are no names of values: left out."
             notices.append(Notice("file_read", text))
@@ -83,7 +86,7 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         )
     except StapeskitError as error:
         want = "of char, cell or number arrays"
-        first = [Fault("the variables", want, unread, path.name, _STRING_STEP)] if strings else []
+        first = [Fault("the variables", want, unread, path.name, _OPAQUE_STEP)] if opaque else []
         raise StapeskitError(*first, *error.faults) from None
 
 

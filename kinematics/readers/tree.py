@@ -12,8 +12,8 @@ from kinematics.readers.gather import from_parts
 if TYPE_CHECKING:
     import h5py
 
-STRINGS = "a MATLAB string array"
-"""Stands for a variable of MATLAB's class string, which no library reads."""
+OPAQUE = "a MATLAB string, table or object"
+"""Stands for a variable of MATLAB's newer classes, which no library reads."""
 
 _DEEPEST = 8  # groups in groups that are read; links may lead round
 
@@ -34,7 +34,7 @@ def read_tree(path: Path) -> dict[str, Any]:
     tree = loadmat(path, squeeze_me=True, simplify_cells=True)
     unread = {name for name, value in tree.items() if isinstance(value, MatlabOpaque | MatlabFunction)}
     plain = {name: value for name, value in tree.items() if not name.startswith("__") and name not in unread}
-    return plain | {("a variable" if name == "None" else name): STRINGS for name in unread}
+    return plain | {("a variable" if name == "None" else name): OPAQUE for name in unread}
 
 
 def _text(value: Any) -> Any:
@@ -56,8 +56,8 @@ def _value(file: h5py.File, node: h5py.Group | h5py.Dataset, depth: int) -> Any:
         if kind == "struct" and len(lists) == len(fields) and len(lengths) == 1:  # a struct array
             return [dict(zip(lists, values, strict=True)) for values in zip(*lists.values(), strict=True)]
         return fields
-    if kind == "string":
-        return STRINGS
+    if kind == "string" or "MATLAB_object_decode" in node.attrs:
+        return OPAQUE
     if node.attrs.get("MATLAB_empty", 0):
         return np.empty(0)
     if h5py.check_ref_dtype(node.dtype) is h5py.Reference:

@@ -93,12 +93,6 @@ def meaning(name: str) -> tuple[str, str, str] | None:
     return (part, " ".join(rest), axis) if part else None
 
 
-def is_wide(sheet: Sheet) -> bool:
-    """Return whether a table has frequencies and both parts of values by the names of its columns."""
-    parts = {meant[0] for name in sheet.names if (meant := meaning(name))}
-    return any(map(is_frequency, sheet.names)) and ({"re", "im"} <= parts or {"amp", "phase"} <= parts)
-
-
 def rows_of(sheet: Sheet, freq_hz: Array) -> tuple[list[Row], list[str]]:
     """Return the beams that the names of columns describe, and the names that describe none.
 

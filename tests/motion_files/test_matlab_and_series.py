@@ -127,13 +127,15 @@ def test_mistakes(name, tmp_path):
     assert [fault.thing for fault in faults(tmp_path, variables)] == [thing]
 
 
-def test_string_arrays_of_matlab_are_named_with_the_cure(tmp_path):
-    """A string array in version 7.3 is a data set of class string, which no library reads."""
+@pytest.mark.parametrize("kind", ["string", "table"])
+def test_newer_classes_of_matlab_are_named_with_the_cure(kind, tmp_path):
+    """In version 7.3 they are data sets of their class that no library reads."""
     path = tmp_path / "a.mat"
     v73(path, {"x": FREQ_HZ, "y": Z})
     with h5py.File(path, "r+") as file:
         file["unit"] = np.zeros(6, dtype=np.uint32)
-        file["unit"].attrs["MATLAB_class"] = np.bytes_("string")
+        file["unit"].attrs["MATLAB_class"] = np.bytes_(kind)
+        file["unit"].attrs["MATLAB_object_decode"] = np.int32(3)
     with pytest.raises(StapeskitError) as caught:
         read_file(path, FileFacts())
     assert "unit" in caught.value.faults[0].got

@@ -261,6 +261,21 @@ def test_points_of_two_sources_are_refused_where_they_repeat(tmp_path):
     assert "a folder of its own" in found[0].next_step
 
 
+ALIENS = {
+    "complex numbers in cells": ("Frequency [Hz],P1 x [m/s]\n400,1+2i\n500,2-3i\n", "column P1 x"),
+    "parts that no column names": ("Frequency [Hz],P1 x [m/s]\n400,1\n500,2\n", "the columns"),
+    "angular frequencies": ("Frequency [rad/s],x Re [m],x Im [m]\n400,1,2\n", "the unit of the frequencies"),
+    "a tidy table without points": ("freq_hz,dir_x,re_m_s,im_m_s\n400,1,1,2\n", "the table"),
+    "a tidy table without directions": ("freq_hz,re_m_s,im_m_s\n400,1,2\n", "the table"),
+}
+
+
+@pytest.mark.parametrize("name", ALIENS)
+def test_a_table_is_refused_as_what_it_is_nearest_to(name, tmp_path):
+    text, thing = ALIENS[name]
+    assert {fault.thing for fault in faults(written(tmp_path, text))} == {thing}
+
+
 def test_one_mistake_in_many_files_or_columns_is_one_sentence(tmp_path):
     for number in range(1, 31):
         block = point_block(number, VELOCITY[0, 0], PLACES_M[0]).replace(b"Imaginary", b"Coherence")
