@@ -23,10 +23,12 @@ from stapeskit.warnings import Notice
 NOISE = ("sd", "coherence", "n_avg")
 """Numbers of a row beside its values; a matrix of each may be there or not."""
 
+DECIBELS = "Export amplitudes on a linear scale: 10^(dB/20) times the reference"
+"""What to do with decibels."""
+
 _OF_COHERENCE = 1e-4  # rounding of written coherences beyond 0 and 1
 _PREFERRED = (1, 0, 2)  # velocity is taken before displacement, and that before acceleration
 _LINEAR = "Export velocity or displacement on a linear scale, and name its unit in the file"
-_DECIBELS = "Export amplitudes on a linear scale: 10^(dB/20) times the reference"
 _ONE_SIGNAL = "Export one signal of one excitation, or name the runs apart"
 _LIMITS: tuple[tuple[str, Callable[[Row], ArrayLike | None], float, float], ...] = (
     ("the values", lambda row: np.abs(row.value), 0.0, LARGEST),
@@ -151,7 +153,7 @@ def _in_si(rows: Sequence[Row]) -> tuple[list[Row], list[Fault]]:
         amplitudes["peak" if unit.per else unit.amplitude].append(row)
         found.append(_converted(row, unit))
     for label, of_unit in unknown.items():
-        step = _DECIBELS if re.search(r"\bdB\b", label, re.IGNORECASE) else _LINEAR
+        step = DECIBELS if re.search(r"\bdB\b", label, re.IGNORECASE) else _LINEAR
         names = list_some(filter(None, (row.source for row in of_unit)), 4)
         thing, got = f"the unit of {names or 'the values'}", shown(label) or "none"
         faults.append(fault_of(of_unit, thing, f"one of {MOTIONS}", got, step))

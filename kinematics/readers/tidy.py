@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.gather import from_parts, from_polar, recording_of
+from kinematics.readers.gather import DECIBELS, from_parts, from_polar, recording_of
 from kinematics.readers.lines import SAME_LINE, check_filled
 from kinematics.readers.points import POSITION, cell_faults, position_faults, text_of
 from kinematics.readers.recording import Recording, Row, unknown_vector
@@ -131,12 +131,11 @@ def _columns_of(header: Sequence[str], file: str) -> Columns:
 def _number_faults(table: Table, columns: Columns) -> list[Fault]:
     """List the numbers that no row may hold."""
     empty = "Leave the cell empty where the value is missing"
-    linear = "Give linear amplitudes: decibels are 10^(dB/20) times the reference"
     dc = "Give the frequency in Hz, or leave the row out (a DC line holds no motion)"
     polar = columns.unit.part == "amp"
     limits = {
         "freq_hz": (LOWEST_HZ, HIGHEST_HZ, dc),
-        columns.pair[0]: (0.0 if polar else -LARGEST, LARGEST, linear if polar else empty),
+        columns.pair[0]: (0.0 if polar else -LARGEST, LARGEST, DECIBELS if polar else empty),
         columns.pair[1]: (-LARGEST, LARGEST, empty),
         columns.sd: (0.0, LARGEST, empty),
         "n_avg": (1.0, LARGEST, empty),

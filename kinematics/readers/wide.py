@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.gather import from_parts, from_polar, recording_of
+from kinematics.readers.gather import DECIBELS, from_parts, from_polar, recording_of
 from kinematics.readers.recording import Recording, Row, unknown_vector
 from kinematics.readers.sheets import Sheet, sheets_of
 from kinematics.readers.text import decoded, plain_name
-from kinematics.readers.units import HERTZ, PHASES
+from kinematics.readers.units import HERTZ, PHASES, motion_unit
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, collect_faults, list_some, raise_all
 from stapeskit.frames import axis_vector
@@ -138,14 +138,9 @@ def _row(sheet: Sheet, point: str, axis: str, freq_hz: Array, parts: dict[str, i
         raise sheet.refuse(thing, want, "alone", "Export both, with points and axes named alike")
     one, other = (parts[name] for name in pair)
     first, second = sheet.numbers[..., one], sheet.numbers[..., other]
-    if pair[0] == "amp" and np.any(first < 0.0):
-        want, got, step = (
-            "linear, from 0 on",
-            f"{np.nanmin(first):g}",
-            "Export them on a linear scale, not in dB",
-        )
-        raise sheet.refuse("the magnitudes", want, got, step)
     unit, turn = sheet.units[one], PHASES.get((sheet.units[other] or "deg").lower())
+    if pair[0] == "amp" and np.any(first < 0.0) and motion_unit(unit):
+        raise sheet.refuse("the magnitudes", "linear, from 0 on", f"{np.nanmin(first):g}", DECIBELS)
     if pair[0] == "re" and unit != sheet.units[other]:
         raise sheet.refuse("real and imaginary part", "in one unit", f"{unit} and {sheet.units[other]}")
     if pair[0] == "amp" and turn is None:
