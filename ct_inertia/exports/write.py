@@ -25,7 +25,7 @@ _CROP_MARGIN_MM = 0.5  # around the stapes: annulus, face of the plate and tip o
 _CROP_PLANES = 8  # read and written at a time
 
 
-class MassOutputs(Outputs):
+class MassFiles(Outputs):
     """The outputs of ct2mass, with the name of the labels of this run: those given are never written over."""
 
     labels_name: str = LABELS
@@ -38,7 +38,7 @@ def outputs_of(
     report: bool = True,
     exports: Sequence[str] = (),
     force: bool = False,
-) -> MassOutputs:
+) -> MassFiles:
     """Return the files that a run may write.
 
     Parameters
@@ -59,7 +59,7 @@ def outputs_of(
     names = ["mass.json", "stapes.ply", "plate.ply", labels, CROP]
     names += [REPORT] if report else []
     names += [EXPORTS[name][0] for name in exports]
-    outputs = MassOutputs("ct2mass", folder, names, [*options.inputs.values()], force)
+    outputs = MassFiles("ct2mass", folder, names, [*options.inputs.values()], force)
     outputs.labels_name = labels
     return outputs
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ct_inertia.bodies import Moments
-from ct_inertia.mass.properties import MassProperties, density_fault
+from ct_inertia.mass.properties import MassProperties, check_density
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.option_types import number
@@ -141,9 +141,7 @@ def from_calibration(
     density = (inner * grey.volume_mm3 + rest * shape.volume_mm3) / shape.volume_mm3
     got = f"{density:.4g} kg/m3 at its mean grey value (bone {bone:.5g}, air {air:.5g})"
     step = "Check the grey values and units of the points of --calibration"
-    fault = density_fault("the density of the stapes by --calibration", density, got, step)
-    if fault is not None:
-        raise StapeskitError(fault)
+    check_density("the density of the stapes by --calibration", density, got, step)
     weighed, parts = grey.volume_parameters(grey.centroid_mm)
     plain, _ = replace(shape, contributions={}).volume_parameters(grey.centroid_mm)
     parameters = inner * weighed + rest * plain

@@ -10,7 +10,7 @@ import numpy as np
 from ct_inertia.bodies import Moments
 from ct_inertia.options import PLAUSIBLE_DENSITY_KG_M3
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, StapeskitError
+from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_matrix import MassMatrix, parameter_transfer
 from stapeskit.report.quantities import MASS
@@ -18,13 +18,17 @@ from stapeskit.report.quantities import MASS
 _POWERS_OF_LENGTH = np.array([3.0, 4.0, 4.0, 4.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0])
 
 
-def density_fault(thing: str, density_kg_m3: float, got: str = "", step: str = "") -> Fault | None:
-    """Return the fault of a density that no bone has, or None."""
+def check_density(thing: str, density_kg_m3: float, got: str, step: str) -> None:
+    """Refuse a density that no bone has.
+
+    Raises
+    ------
+    StapeskitError
+        It lies outside 500 to 4000 kg/m3.
+    """
     low, high = PLAUSIBLE_DENSITY_KG_M3
-    if low <= density_kg_m3 <= high:
-        return None
-    step = step or "Bone has 1400 to 2200 kg/m3; 1 g/cm3 is 1000 kg/m3"
-    return Fault(thing, f"between {low:g} and {high:g} kg/m3", got or f"{density_kg_m3:g}", "", step)
+    if not low <= density_kg_m3 <= high:
+        raise StapeskitError.of(thing, f"between {low:g} and {high:g} kg/m3", got, "", step)
 
 
 @dataclass(frozen=True)
@@ -155,15 +159,7 @@ def from_density(moments: Moments, density_kg_m3: float, sd_kg_m3: float | None)
     density_kg_m3 : float
     sd_kg_m3 : float or None
         None: the density is taken as exact and adds nothing to the budget.
-
-    Raises
-    ------
-    StapeskitError
-        The density lies outside 500 to 4000 kg/m3, where no bone is (a wrong unit).
     """
-    fault = density_fault("--density", density_kg_m3)
-    if fault is not None:
-        raise StapeskitError(fault)
     volume, parts = moments.volume_parameters(moments.centroid_mm)
     parameters = volume * density_kg_m3
     contributions = {name: density_kg_m3**2 * part for name, part in parts.items()}
@@ -192,9 +188,7 @@ def from_mass(moments: Moments, mass_kg: float, sd_kg: float | None) -> MassProp
     """
     density = mass_kg / moments.volume_m3
     got = f"{MASS.text(mass_kg)} in {moments.volume_mm3:.4g} mm3, that is {density:.4g} kg/m3"
-    fault = density_fault("the density by --mass-mg", density, got, "Check the mass (mg) and the voxel size")
-    if fault is not None:
-        raise StapeskitError(fault)
+    check_density("the density by --mass-mg", density, got, "Check the mass (mg) and the voxel size")
     volume, parts = moments.volume_parameters(moments.centroid_mm)
     parameters = volume * density
     linear = density * np.eye(10)

@@ -106,7 +106,7 @@ def masses_by_way(
     Raises
     ------
     StapeskitError
-        A density that no bone has, or a calibration without grey values.
+        A density by mass or calibration that no bone has, or a calibration without grey values.
     """
     masses: dict[str, MassProperties] = {}
     if mass_mg is not None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.surface.surface import Faces, Surface, as_mesh, enclosed_moments
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, StapeskitError
+from stapeskit.faults import StapeskitError
 from stapeskit.sandbox import memory_limit, read_apart
 from stapeskit.warnings import Notice
 
@@ -119,10 +119,12 @@ def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Surfa
     notices = []
     holes = boundary_edges(faces)
     if len(holes):
+        where = _holes(vertices, faces)
         if not close:
-            raise StapeskitError(_open_fault(vertices, faces, name))
+            step = "Close them in the program that made the surface (a solid fill), or let --close do it"
+            raise StapeskitError.of("the surface", "closed", f"{where} in {len(faces)} faces", name, step)
         vertices, faces, how = _closed(vertices, faces, name)
-        text = f"{name} was open at {len(holes)} edges; {how} (--close). Look at the surface."
+        text = f"{name} had {where}; {how} (--close). Nothing says what was there: look at the surface."
         notices.append(Notice("holes_closed", text))
     faces, turned = _oriented(vertices, faces, name)
     if turned:
@@ -217,8 +219,8 @@ def _filled(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
     return mesh.vertex_matrix(), mesh.face_matrix().astype(np.int64)
 
 
-def _open_fault(vertices: Array, faces: Faces, name: str) -> Fault:
-    """Return the fault of an open mesh: how many holes, and where the largest lie."""
+def _holes(vertices: Array, faces: Faces) -> str:
+    """Say how many holes an open mesh has, and where the largest lie."""
     holes = boundary_edges(faces)
     loops = _split(_groups(holes, len(vertices))[holes[:, 0]])
     places = []
@@ -227,9 +229,7 @@ def _open_fault(vertices: Array, faces: Faces, name: str) -> Fault:
         centre, width = corners.mean(axis=0), float(np.linalg.norm(np.ptp(corners, axis=0)))
         places.append(f"{width:.3g} mm wide at {', '.join(f'{value:.3f}' for value in centre)} mm")
     more = f" and {len(loops) - 3} more" if len(loops) > 3 else ""
-    got = f"{len(loops)} hole{'s' if len(loops) > 1 else ''} ({'; '.join(places)}{more})"
-    step = "Close them in the program that made the surface (a solid fill), or let --close do it"
-    return Fault("the surface", "closed", f"{got} in {len(faces)} faces", name, step)
+    return f"{len(loops)} hole{'s' if len(loops) > 1 else ''} ({'; '.join(places)}{more})"
 
 
 def _groups(edges: Faces, count: int) -> NDArray[np.intp]:
