@@ -236,12 +236,13 @@ def ear_frame(ears: Sequence[Ear], failed: Mapping[str, str] | None = None) -> A
         "damping_exponent": [ear.damping_exponent for ear in ears],
         "warnings": [ear.warnings for ear in ears],
     }
-    for name in dict.fromkeys(name for ear in ears for name in ear.about):
-        columns.setdefault(name, [ear.about.get(name) for ear in ears])
     for quantity in quantities(ears) if ears else []:
         end = f"_{quantity.unit}".replace("/", "_per_").replace(" ", "_").lower() if quantity.unit else ""
         columns[f"{quantity.name}{end}"] = quantity.values
         columns[f"{quantity.name}_sd{end}"] = quantity.sd
+    for name in dict.fromkeys(name for ear in ears for name in ear.about if name != "side"):
+        column = f"stated_{name}" if name in columns else name
+        columns[column] = [ear.about.get(name) for ear in ears]
     table = pd.DataFrame(columns).assign(error="")
     if not failed:
         return table

@@ -85,10 +85,15 @@ def test_ears_of_one_body_of_one_scan_are_named(ears):
 
 
 def test_what_a_study_states_of_an_ear_is_a_column(ears):
-    known = [replace(one, about={**one.about, "storage_days": float(k)}) for k, one in enumerate(ears[:3])]
+    known = [
+        replace(one, about={**one.about, "storage_days": float(k), "verdict": "mine"})
+        for k, one in enumerate(ears[:3])
+    ]
     table = ear_frame([*known, ears[4]], {"lost": "no scan"})
     assert table["subject"].tolist()[:4] == ["s0", "s1", "s2", "s4"]
     assert table["storage_days"].tolist()[:3] == [0.0, 1.0, 2.0]
+    assert table["stated_verdict"].tolist()[:3] == ["mine"] * 3
+    assert "mine" not in table["verdict"].tolist()
     assert table["storage_days"].isna().tolist() == [False] * 3 + [True] * 2
 
 
