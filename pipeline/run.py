@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.study import Study, read_study
 from stapeskit.command import no_progress
-from stapeskit.faults import Fault, collect_faults, raise_all
+from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
 from stapeskit.outputs import Outputs
 from stapeskit.provenance import record, sha256, versions
 from stapeskit.records.mass import read_mass_json
@@ -259,7 +259,23 @@ def check_study(study: Study, outputs: Iterable[Outputs] = ()) -> None:
         check_scan(study.scan)
     with collect_faults(faults), study.ldv.as_keys():
         check_measurement(study.ldv)
+    with collect_faults(faults):
+        _check_plate(study)
     raise_all(faults)
+
+
+def _check_plate(study: Study) -> None:
+    """Refuse coordinates of a plate that nothing will show: a mesh is of the stapes alone."""
+    from kinematics.place.fiducials import read_fiducials
+
+    if study.scan.is_mesh and study.scan.plate_fiducials is None:
+        file = study.ldv.fiducials_file
+        frame = str(study.ldv.frame) if file is None else read_fiducials(file).frame
+        if frame == "plate":
+            expected = "scan or footplate where the scan is a mesh, which has no plate"
+            step = "Mark the fiducials in the scan (frame scan), or give scan.plate_fiducials"
+            where = "" if file is None else file.name
+            raise StapeskitError.of("the frame of the measurement", expected, frame, where, step)
 
 
 def _is_made_from(provenance: Mapping[str, Any], options: Any) -> bool:

@@ -157,6 +157,19 @@ def test_warnings_of_a_study_name_its_keys(finished: StudyResult) -> None:
     assert not any("--coat" in notice.text for notice in finished.notices)
 
 
+def test_a_mesh_without_a_plate_is_refused_before_it_is_measured(
+    small: tuple[Path, Truth], finished: StudyResult, tmp_path: Path
+) -> None:
+    copied(small, tmp_path)
+    shutil.copyfile(finished.out / "stapes.ply", tmp_path / "stapes.ply")
+    study = tmp_path / "study.toml"
+    study.write_text(study.read_text().replace('"scan.nrrd"', '"stapes.ply"'))
+    with pytest.raises(StapeskitError) as raised:
+        check_study(read_study(study))
+    (fault,) = raised.value.faults
+    assert (fault.got, fault.where) == ("plate", "fiducials.csv")
+
+
 def test_an_output_that_is_an_input_is_refused(small: tuple[Path, Truth], tmp_path: Path) -> None:
     shutil.copytree(small[0], tmp_path / "ear")
     (tmp_path / "ear" / "dof.csv").write_text("mine\n")
