@@ -8,12 +8,12 @@ export PYTHONDONTWRITEBYTECODE =
 # two processes share two cores
 test test-shared: export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help setup demo cohort test test-shared coverage browser lint types imports check format bench evidence docs site sample lock clean
+.PHONY: help setup demo cohort test test-shared coverage browser octave lint types imports check format bench evidence docs site sample lock clean
 
 help:
 	@echo "make demo      set up and run the whole chain on the sample study, into demo/"
 	@echo "make test      set up and run the tests; make test-shared: also on data that may not be copied"
-	@echo "make check     lint, types, import rules; make browser: app and report, driven in Chromium"
+	@echo "make check     lint, types, import rules; make browser, make octave: in Chromium, in Octave"
 	@echo "make coverage  statements that the tests reach, file by file"
 	@echo "make cohort    twelve simulated ears with a planted law, and the truth beside what was found"
 	@echo "make bench     the slower evidence; make evidence: its tables into docs/ (ARGS=fitting_estimators)"
@@ -36,7 +36,7 @@ cohort: $(READY)
 test: $(READY)
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 test-shared: $(READY)
-	$(BIN)/python -m pytest -n 2 -m "shared or not shared"
+	$(BIN)/python -m pytest -n 2 -m "not browser and not octave"
 coverage: $(READY)
 	$(BIN)/coverage erase
 	$(BIN)/coverage run -m pytest
@@ -44,6 +44,8 @@ coverage: $(READY)
 	$(BIN)/coverage report --ignore-errors --skip-covered --sort=cover
 browser: $(READY)
 	$(BIN)/python -m pytest -m browser tests/app tests/study
+octave: $(READY)
+	$(BIN)/python -m pytest -m octave tests/study
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
