@@ -171,6 +171,31 @@ def test_the_page_is_drawn_again_from_the_folder_and_the_scan(study: Study, tmp_
     assert "".join(without.sections[0].blocks).count("<svg") == shown.count("<svg") - 1
 
 
+def test_a_plain_affine_turns_x_and_the_line_to_paste_turns_it_back(study: Study, tmp_path: Path) -> None:
+    """A NIfTI whose affine is its voxel size alone has x and y that point the other way than the array."""
+    import nibabel
+    import SimpleITK as sitk
+
+    voxels = sitk.ReadImage(str(study.labels))
+    array = np.ascontiguousarray(sitk.GetArrayFromImage(voxels).transpose(2, 1, 0))
+    affine = np.diag([*voxels.GetSpacing(), 1.0])
+    nibabel.save(nibabel.Nifti1Image(array, affine), tmp_path / "labels.nii.gz")
+    first = ct2mass(labels=str(tmp_path / "labels.nii.gz"), density=(1900.0, 60.0))
+    words, other = first.anterior
+    assert "of the voxel array" in words
+    turned = ct2mass(
+        labels=str(tmp_path / "labels.nii.gz"), density=(1900.0, 60.0), anterior=other.partition("=")[2]
+    )
+    assert turned.anterior[0] != words
+    # x and z of the footplate frame turn about y: the entries of y with rotations change their signs
+    for dof in (3, 5):
+        np.testing.assert_allclose(turned.matrix.matrix[1, dof], -first.matrix.matrix[1, dof], rtol=1e-6)
+    assert (words, other) == (
+        dict(first.summary())["anterior"],
+        dict(first.summary())["for the other choice"],
+    )
+
+
 def test_the_result_prints_draws_and_tabulates_itself(study: Study) -> None:
     result = study.scanned
     names = [name for name, _ in result.summary()]
