@@ -56,9 +56,7 @@ def timed(module: str, *words: str, folder: Path) -> tuple[float, float]:
     """
     before, started = os.times(), time.perf_counter()
     code = f"import sys; from {module} import main; sys.argv[1:] = {list(words)!r}; main()"
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True
-    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True)
     wall, after = time.perf_counter() - started, os.times()
     if done.returncode:
         raise SystemExit(f"{module} {' '.join(words)} ended with {done.returncode}:\n{done.stderr}")
