@@ -53,8 +53,6 @@ class Table:
         Line of each row in the file, counted from 1.
     faults : tuple of Fault
         Cells that are no numbers and rows of another length.
-    comments : int
-        Lines below the header that begin with ``#`` and were passed over.
     """
 
     file: str
@@ -62,7 +60,6 @@ class Table:
     texts: Mapping[str, TextColumn]
     lines: NDArray[np.int64]
     faults: tuple[Fault, ...] = ()
-    comments: int = 0
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -234,7 +231,7 @@ def _read_cells(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table:
     """Read every row cell by cell; blank lines and comments are passed over."""
     text = io.StringIO(sheet.body.decode("utf-8"), newline="")
     rows = csv.reader(text, delimiter=sheet.separator, skipinitialspace=True)
-    width, comments, below = len(sheet.header), 0, sheet.line
+    width, below = len(sheet.header), sheet.line
     kept: list[list[str]] = []
     lines: list[int] = []
     faults: list[Fault] = []
@@ -250,11 +247,9 @@ def _read_cells(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table:
             break
         below = sheet.line + rows.line_num
         cells = [cell.strip() for cell in row]
-        if not any(cells):
+        if not any(cells) or cells[0].startswith("#"):
             continue
-        if cells[0].startswith("#"):
-            comments += 1
-        elif len(cells) < width or any(cells[width:]):
+        if len(cells) < width or any(cells[width:]):
             faults.append(_length_fault(sheet, line, below - line, cells))
         else:
             kept.append(cells)
@@ -274,7 +269,7 @@ def _read_cells(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table:
                 faults.append(Fault(name, "a number", f'"{shown}"', where, _hint(cell, commas)))
     faults.sort(key=lambda fault: fault.where.numbers[0] if isinstance(fault.where, Place) else 0)
     words = {name: _encode(columns[name]) for name in texts}
-    return Table(sheet.file, values, words, np.array(lines, dtype=np.int64), tuple(faults), comments)
+    return Table(sheet.file, values, words, np.array(lines, dtype=np.int64), tuple(faults))
 
 
 def _hint(cell: str, commas: bool) -> str:
