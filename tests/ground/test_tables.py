@@ -88,7 +88,6 @@ def test_rows_know_their_lines(read, dialect):
     assert all(
         text[line - 1].startswith(body) for line, body in zip(table.lines, ("stapes", "base"), strict=True)
     )
-    assert table.comments == ("odd" in content)
     assert str(table.where(1)) == f"t.csv, line {table.lines[1]}"
 
 
