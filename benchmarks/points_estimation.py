@@ -19,8 +19,9 @@ from benchmarks._table import arguments, print_table
 from kinematics.fit.beams import BeamSet, beam_set
 from kinematics.fit.reference import per_reference
 from kinematics.fit.rigid_fit import LineFit, fit_lines
+from kinematics.joint.expected import stated_errors
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.place.errors import estimate_errors, stated_errors
+from kinematics.place.errors import estimate_errors
 from kinematics.place.placement import Placement
 from kinematics.place.shared_errors import shared_errors
 from simulate import resonant_motion, scattered_points
@@ -176,7 +177,7 @@ def squared_distance(replicates: int, stated: bool) -> float:
             covariance[6 * line : 6 * line + 6, 6 * line : 6 * line + 6] = fit.covariance[line] / 2.0
         covariance = np.kron(np.eye(2), covariance)
         if stated:
-            positions = estimate_errors(placed, stated_errors(placed, {}), {})
+            positions = estimate_errors(placed, stated_errors(placed.bodies, {}), {})
             shared = shared_errors(placed, {(0, 0): fit}, placement, positions)
             assert shared is not None
             slopes = shared.derivatives[:, 0, 0].reshape(len(shared.names), -1)

@@ -20,11 +20,11 @@ from kinematics.fit.noise import fit_with_noise
 from kinematics.fit.reference import parse_reference, per_reference
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.inputs import Inputs, check_inputs, read_inputs
-from kinematics.joint.expected import Priors
+from kinematics.joint.expected import body_starts, stated_errors
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.motion_checks import check_determined, fit_notices, phase_notices, uncommon_lines
 from kinematics.options import MotionOptions
-from kinematics.place.errors import ErrorEstimate, agreement, body_starts, with_errors
+from kinematics.place.errors import ErrorEstimate, agreement, with_errors
 from kinematics.place.handedness import check_positions
 from kinematics.place.moved import SurfaceCheck, check_extent, check_surfaces, far_away
 from kinematics.place.placement import Placement, place
@@ -173,8 +173,6 @@ def _fit(placed: Measurement, options: MotionOptions) -> _Fitted:
 def _search(fitted: _Fitted, options: MotionOptions) -> dict[int, Diagnosis]:
     """Look for faults in every body, all of its runs together."""
     placed = fitted.placed
-    sd = options.laser_sd
-    lasers = Priors(sd["laser_gain"], sd["laser_phase"], sd["laser_delay"])
     runs = range(len(placed.runs))
     found = {}
     for number, body in enumerate(placed.bodies):
@@ -183,7 +181,7 @@ def _search(fitted: _Fitted, options: MotionOptions) -> dict[int, Diagnosis]:
             body,
             [fitted.fits[run, number] for run in runs],
             placed.freq_hz,
-            replace(lasers, position_m=usual),
+            stated_errors([replace(body, position_sd_m=usual)], options.laser_sd),
             placed.line_spread,
         )
     return found
@@ -194,7 +192,7 @@ def _correct(
 ) -> tuple[_Fitted, list[Correction]]:
     """Return the fits of bodies with what was found applied."""
     placed = fitted.placed
-    starts = body_starts(placed)
+    starts = body_starts(placed.bodies)
     done = [
         corrected(body, diagnoses[number], placed.freq_hz, starts[number])
         for number, body in enumerate(placed.bodies)

@@ -17,7 +17,6 @@ from stapeskit.faults import Fault, list_some
 from stapeskit.spatial import dof_indices, point_rows
 from stapeskit.warnings import Notice
 
-_NEAREST_M, _FARTHEST_M = 0.03e-3, 0.3  # a laser spot; larger than any bone or holder under a microscope
 _LOWEST_TOP_HZ, _HIGHEST_HZ = 40.0, 3e5  # a sweep that ends below is not of hearing; no ear hears beyond
 SLOWEST, FASTEST = 1e-6, 20e-3
 """Velocity amplitudes of ears in experiments, m/s: 0.05 to 0.2 mm/s for each Pa at the stapes (Chien et al.
@@ -143,16 +142,6 @@ def _unit_slip(text: str, step: str) -> Notice:
     return Notice("unit_slip", f"{text}. {step}.")
 
 
-def distances(measurement: Measurement) -> Iterator[Notice]:
-    """Look at the distances of the points of each body: m under a header in mm, or the reverse."""
-    for body in measurement.bodies:
-        size = 0.0 if body.positions_m is None else float(np.max(np.ptp(body.positions_m, axis=0)))
-        if size > 0.0 and not _NEAREST_M < size < _FARTHEST_M:
-            looks = f"they look like {'m' if size <= _NEAREST_M else 'um'} in columns of mm"
-            text = f"the points of body {body.body} span {1e3 * size:.3g} mm: {looks}"
-            yield _unit_slip(text, "Check the unit of the coordinates")
-
-
 def frequencies(measurement: Measurement) -> Iterator[Notice]:
     """Look whether the frequencies are those of hearing."""
     top = float(measurement.freq_hz[-1])
@@ -248,6 +237,6 @@ def _misfit(values: BodyChannels, places: BodyChannels) -> float:
 
 
 CHECKS: tuple[Callable[[Measurement], Iterator[Notice]], ...] = (
-    distances, frequencies, velocities, ratios, radians, decibels, exchanged_bodies,
+    frequencies, velocities, ratios, radians, decibels, exchanged_bodies,
 )  # fmt: skip
 """All checks. A new one is one function and one entry."""

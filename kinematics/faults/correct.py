@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinematics.faults.kinds import KINDS, Finding, free
+from kinematics.faults.kinds import KINDS, TREATMENTS, Finding, free
 from kinematics.faults.search import Diagnosis
 from kinematics.faults.sentences import culprit, describe
 from kinematics.joint.estimate import joint
@@ -54,7 +54,7 @@ def corrected(body: BodyChannels, diagnosis: Diagnosis, freq_hz: Array, first: i
         Number of its first channel among those of all bodies.
     """
     count = len(body.points)
-    estimated = [one for one in diagnosis.findings if _how(one) == _ESTIMATED]
+    estimated = [one for one in diagnosis.findings if one.treatment == "estimate"]
     last = diagnosis.last
     readings = last.readings
     parameters = sum((free(one.kind, one.channels, count) for one in estimated), Parameters.of(count))
@@ -65,7 +65,7 @@ def corrected(body: BodyChannels, diagnosis: Diagnosis, freq_hz: Array, first: i
     value = body.value / moved.factor.T
     value[:, left_out] = np.nan
     for one in diagnosis.findings:
-        if _how(one) == _REVERSED:
+        if one.treatment == "sign":
             value[:, list(one.channels)] = -body.value[:, list(one.channels)]
     louder = np.where(left_out, 1.0, readings.noise_factor)
     shift = readings.geometry.positions_m - diagnosis.first.readings.geometry.positions_m
@@ -80,22 +80,9 @@ def corrected(body: BodyChannels, diagnosis: Diagnosis, freq_hz: Array, first: i
     size = len(parameters)
     covariance = fit.covariance[:size, :size] * last.noise.level
     return Correction(changed, _errors(body, estimated, first), covariance, tuple(
-        Notice("corrected", f"{culprit(one, body)}: {_how(one)} ({describe(one, body)}).")
+        Notice("corrected", f"{culprit(one, body)}: {TREATMENTS[one.treatment]} ({describe(one, body)}).")
         for one in diagnosis.findings
     ))  # fmt: skip
-
-
-_ESTIMATED, _REVERSED = "corrected by the estimate", "sign reversed"
-
-
-def _how(one: Finding) -> str:
-    """Say what is done about a finding."""
-    if one.kind in ("label_swap", "noise", "flexible"):
-        words = {"label_swap": "exchanged back", "noise": "given its larger noise"}
-        return words.get(one.kind, "left as it is")
-    if one.owner in ("laser", "body") and one.kind in KINDS:
-        return _ESTIMATED
-    return _REVERSED if one.verdict == "sign" and one.kind == "gain" else "left out"
 
 
 def _errors(body: BodyChannels, estimated: list[Finding], first: int) -> tuple[ChannelError, ...]:

@@ -126,6 +126,19 @@ class Finding:
         return self.place.channels
 
     @property
+    def treatment(self) -> str:
+        """How a finding is taken out of the data, one of `TREATMENTS`.
+
+        An estimate from the values of a single channel or point adds nothing to the motion: these are left
+        out, unless only their sign is reversed.
+        """
+        if self.kind in ("label_swap", "noise", "flexible"):
+            return self.kind
+        if self.owner in ("laser", "body") and self.kind in KINDS:
+            return "estimate"
+        return "sign" if self.kind == "gain" and self.verdict == "sign" else "elsewhere"
+
+    @property
     def verdict(self) -> str:
         """Word in dof.channels.csv."""
         if self.kind in ("gain", "phase", "drift") and is_reversed(self.values):
@@ -133,6 +146,17 @@ class Finding:
         if self.kind == "elsewhere":
             return "flexible"
         return KINDS[self.kind].verdict if self.kind in KINDS else self.kind
+
+
+TREATMENTS = {
+    "label_swap": "exchanged back",
+    "noise": "given its larger noise",
+    "flexible": "left as it is",
+    "estimate": "corrected by the estimate",
+    "sign": "sign reversed",
+    "elsewhere": "left out",
+}
+"""What is done about findings, in words."""
 
 
 def is_reversed(values: Array) -> bool:

@@ -14,7 +14,7 @@ from kinematics.faults.kinds import SHARE, places
 from kinematics.faults.noise import unknown_noise
 from kinematics.faults.scores import Noise, Test, score_tests
 from kinematics.joint.estimate import Estimate, State, joint
-from kinematics.joint.expected import Layout, Priors, expected_errors
+from kinematics.joint.expected import Layout
 from kinematics.joint.noise import ChannelLevels, channel_levels, pooled_levels
 from kinematics.joint.pack import Packed, Readings, pack
 from kinematics.joint.tangents import Parameters
@@ -143,12 +143,12 @@ class Round:
         return bool(np.all(smallest > np.log(ALARM * np.array(ALARM_SHARES))))
 
 
-def null_fit(readings: Readings, layout: Layout, priors: Priors) -> Round:
+def null_fit(readings: Readings, layout: Layout) -> Round:
     """Fit motion and expected errors, find the level of the noise, and test everything."""
     stated, count = readings.known is not None, len(layout.points)
     packed = pack(readings)
     live = packed.live.tolist()
-    expected = expected_errors(layout, live, priors)
+    expected = layout.expected(live)
     estimate = joint(packed, expected)
     levels = ChannelLevels(np.ones(count), np.ones(count), np.zeros(count))
     for _ in range(_LEVEL_ROUNDS if readings.known is None or readings.known.any() else 0):

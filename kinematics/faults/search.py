@@ -15,15 +15,15 @@ import numpy as np
 
 from kinematics.faults.candidates import fit_candidates
 from kinematics.faults.elsewhere import Cause, other_causes
-from kinematics.faults.kinds import KINDS, Finding, Place, free
+from kinematics.faults.kinds import Finding, Place, free
 from kinematics.faults.noise import amplitude_noise
 from kinematics.faults.rounds import Round, null_fit
 from kinematics.faults.scores import pattern_gain
-from kinematics.fit.lasers import laser_numbers
 from kinematics.fit.noise import assumed_sd
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.joint.estimate import State
-from kinematics.joint.expected import Layout, Priors
+from kinematics.joint.expected import ChannelError, Layout, stated_errors
+from kinematics.joint.lasers import laser_numbers
 from kinematics.joint.noise import digits_spread
 from kinematics.joint.pack import Readings
 from kinematics.measurement import BodyChannels
@@ -67,7 +67,7 @@ def diagnose(
     body: BodyChannels,
     fits: Sequence[LineFit],
     freq_hz: Array,
-    priors: Priors | None = None,
+    errors: Sequence[ChannelError] | None = None,
     line_spread: float = 1.0,
 ) -> Diagnosis:
     """Search the readings of a body for faults.
@@ -79,15 +79,13 @@ def diagnose(
     fits : sequence of LineFit, (r,)
         Of its runs, with their noise.
     freq_hz : ndarray, (L,)
-    priors : Priors, optional
-        Errors that are expected; those of data sheets unless given. Stated errors of positions are added.
+    errors : sequence of ChannelError, optional
+        That are expected; those of data sheets and of stated positions unless given.
     line_spread : float
         Factor by which the variance of slowly varying sums exceeds that of independent lines.
     """
-    priors = priors or Priors()
-    if not priors.position_m.size:
-        priors = replace(priors, position_m=np.nan_to_num(body.position_sd_m))
-    layout = Layout(body.points, laser_numbers(body.directions))
+    errors = stated_errors([body]) if errors is None else errors
+    layout = Layout(body.points, laser_numbers(body.directions), tuple(errors))
     assumed = [assumed_sd(body, run) for run in range(len(fits))]
     sd = (assumed[0][None] if len(fits) == 1 else np.stack(assumed)) * np.sqrt(max(line_spread, 1.0))
     known = digits_spread(body.sd) if body.sd is not None and body.is_noise_stated else None
@@ -95,7 +93,7 @@ def diagnose(
         sd = sd * np.median([np.median(fit.factor) for fit in fits])
     readings = Readings.of(body.value, sd, freq_hz, body.arms_m, body.directions)
     readings = replace(readings, known=known)
-    first = null_fit(readings, layout, priors)
+    first = null_fit(readings, layout)
     read = int(np.count_nonzero(np.any(np.isfinite(readings.value), axis=1)))
     enough = read > max(len(fit.beams.dof) for fit in fits) and readings.value.shape[1] > 1
     nothing = Diagnosis((), np.zeros(len(body.points)), 1.0, first, first)
@@ -104,11 +102,11 @@ def diagnose(
     level = _noise_level(first) if body.is_noise_stated else 1.0
     if level != 1.0:
         readings = replace(readings, known=None)
-        first = null_fit(readings, layout, priors)
+        first = null_fit(readings, layout)
     grows = None if first.clean() else amplitude_noise(readings, first.state)
     if grows is not None:
-        first = null_fit(replace(grows, known=None), layout, priors)
-    found, last = _search(first, priors)
+        first = null_fit(replace(grows, known=None), layout)
+    found, last = _search(first)
     least = min((finding.log_p for finding in found), default=0.0)
     if not body.is_noise_stated and least >= LEAST_LOG_P and _has_computed_axes(body):
         found, last = [], first
@@ -147,7 +145,7 @@ def _noise_level(now: Round) -> float:
     return float(np.sqrt(middle))
 
 
-def _search(first: Round, priors: Priors) -> tuple[list[Finding], Round]:
+def _search(first: Round) -> tuple[list[Finding], Round]:
     """Return what is wrong, and the round without it.
 
     More findings than a third of the points, at least two, mean that the body does not move as a rigid body.
@@ -163,9 +161,9 @@ def _search(first: Round, priors: Priors) -> tuple[list[Finding], Round]:
         readings = _believed(now, candidates[0])
         if np.count_nonzero(np.isfinite(readings.noise_factor)) < _LEAST_CHANNELS:
             break
-        now = null_fit(readings, now.layout, priors)
+        now = null_fit(readings, now.layout)
     if len(found) > 1:
-        others = _disagreeing(first, priors)
+        others = _disagreeing(first)
         if others and others[1].clean() and (not now.clean() or _numbers(others[0]) < _numbers(found)):
             found, now = others
     if _bends(found, first, now):
@@ -183,18 +181,18 @@ def _numbers(found: Sequence[Finding]) -> int:
 def _believed(now: Round, best: Finding) -> Readings:
     """Return the readings under a fault that is believed: corrected, louder, or without its channels."""
     readings, own = now.readings, best.channels
-    if best.geometry is not None:
-        changed = best.geometry
+    changed = best.geometry
+    if changed is not None:
         geometry = replace(readings.geometry, positions_m=changed.positions_m, directions=changed.directions)
         return replace(readings, geometry=geometry)
-    if best.kind == "noise":
+    if best.treatment == "noise":
         return readings.louder(own, float(best.values[0]))
-    if best.owner in ("laser", "body") and best.kind in KINDS:
+    if best.treatment == "estimate":
         return readings.corrected(free(best.kind, own, len(now.layout.points)), best.values)
     return readings.louder(own)
 
 
-def _disagreeing(first: Round, priors: Priors) -> tuple[list[Finding], Round] | None:
+def _disagreeing(first: Round) -> tuple[list[Finding], Round] | None:
     """Find the points without which the others agree, and what each has; None where half of them are off.
 
     Notes
@@ -219,7 +217,7 @@ def _disagreeing(first: Round, priors: Priors) -> tuple[list[Finding], Round] | 
     if not 0 < 2 * len(off) < len(points) or left < _LEAST_CHANNELS:
         return None
     sound = first.readings.louder([channel for point in off for channel in points[point]])
-    if not null_fit(sound, first.layout, priors).clean():
+    if not null_fit(sound, first.layout).clean():
         return None
     found: list[Finding] = []
     now = first
@@ -227,14 +225,14 @@ def _disagreeing(first: Round, priors: Priors) -> tuple[list[Finding], Round] | 
         own = points[point]
         factor = sound.noise_factor.copy()
         factor[own] = first.readings.noise_factor[own]
-        alone = null_fit(replace(sound, noise_factor=factor), first.layout, priors)
+        alone = null_fit(replace(sound, noise_factor=factor), first.layout)
         if not alone.clean():
             inside = [one for one in fit_candidates(alone) if set(one.channels) <= set(own)]
             if not inside:
                 return None
             found.append(inside[0])
             now = replace(now, readings=_believed(now, inside[0]))
-    return found, null_fit(now.readings, first.layout, priors)
+    return found, null_fit(now.readings, first.layout)
 
 
 def _bends(found: Sequence[Finding], first: Round, last: Round) -> bool:

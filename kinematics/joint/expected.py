@@ -1,15 +1,25 @@
-"""Which channels belong together, and the errors of lasers and positions that are expected of every file."""
+"""The errors of lasers, positions and beams that are stated or expected, and which channels share them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.joint.tangents import DELAY, GAIN, PHASE, SHIFT, Parameters
-from stapeskit.arrays import Array
+from kinematics.joint.lasers import laser_numbers
+from kinematics.joint.tangents import BEAM_U, BEAM_V, DELAY, GAIN, PHASE, SHIFT, TURN, Parameters
+from kinematics.measurement import BodyChannels, direction_name
+
+LASER_KINDS = {"laser_gain": GAIN, "laser_phase": PHASE, "laser_delay": DELAY}
+LASER_SD = {"laser_gain": 0.01, "laser_phase": float(np.deg2rad(0.5)), "laser_delay": 1e-6}
+"""Of each laser against the others: data sheets of vibrometers state 1 % and 0.5 degrees, cables and filters
+differ by 1 us."""
+AXES_SD_DEG = 1.0
+"""Turn between beams and positions: holders are set by eye."""
+BEAM_SD_DEG = 0.5
+"""Direction of each laser: that of a head on its mount."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +60,13 @@ class Layout:
         Name of the point of each channel.
     laser : ndarray, (c,), int
         Number of its laser.
+    errors : tuple of ChannelError
+        That are expected of lasers and positions.
     """
 
     points: tuple[str, ...]
     laser: NDArray[np.intp]
+    errors: tuple[ChannelError, ...] = ()
 
     def by_point(self, live: Sequence[int]) -> dict[str, list[int]]:
         """Return the channels in use of each point."""
@@ -69,34 +82,62 @@ class Layout:
             groups.setdefault(int(self.laser[channel]), []).append(int(channel))
         return groups if len(groups) > 1 else {}
 
+    def expected(self, live: Sequence[int]) -> Parameters:
+        """Return the expected errors of the channels in use; of lasers where there are several."""
+        used, several = set(live), bool(self.by_laser(live))
+        entries = [
+            ([channel for channel in error.channels if channel in used], error.tangent, error.sd)
+            for error in self.errors
+            if several or error.kind not in LASER_KINDS
+        ]
+        return Parameters.of(len(self.points), [entry for entry in entries if entry[0]])
 
-@dataclass(frozen=True)
-class Priors:
-    """Prior standard deviations of the errors of lasers and positions.
 
-    Attributes
+def body_starts(bodies: Sequence[BodyChannels]) -> list[int]:
+    """Return the number of the first channel of each body, and that of all channels."""
+    return [0, *np.cumsum([len(body.points) for body in bodies]).tolist()]
+
+
+def lasers_of(bodies: Sequence[BodyChannels]) -> tuple[list[tuple[int, ...]], tuple[str, ...]]:
+    """Group channels by laser; return the channels of each and the mean direction of its beams."""
+    directions = np.concatenate([body.directions for body in bodies])
+    number = laser_numbers(directions)
+    lasers = [tuple(np.flatnonzero(number == k).tolist()) for k in range(number.max() + 1)]
+    mean = [directions[list(own)].mean(axis=0) for own in lasers]
+    return lasers, tuple(direction_name(one / np.linalg.norm(one)) for one in mean)
+
+
+def stated_errors(
+    bodies: Sequence[BodyChannels], laser_sd: Mapping[str, float] = LASER_SD, calibrate: bool = False
+) -> list[ChannelError]:
+    """Return what is stated of lasers (not of a single one) and positions; to calibrate also axes and beams.
+
+    Parameters
     ----------
-    laser_gain, laser_phase_rad, laser_delay_s : float
-        Of each laser against the others: data sheets of vibrometers state 1 % and 0.5 degrees, cables and
-        filters differ by 1 us.
-    position_m : ndarray, (c,)
-        Per coordinate of each point; NaN or 0 where none is expected.
+    laser_sd : mapping of str to float
+        By the names of `LASER_KINDS`: 1, rad and s; those that are exact are left out.
     """
-
-    laser_gain: float = 0.01
-    laser_phase_rad: float = float(np.deg2rad(0.5))
-    laser_delay_s: float = 1e-6
-    position_m: Array = field(default_factory=lambda: np.empty(0))
-
-
-def expected_errors(layout: Layout, live: Sequence[int], priors: Priors) -> Parameters:
-    """Return the expected errors of the channels in use, with their standard deviations."""
-    entries: list[tuple[list[int], int, float]] = []
-    if priors.position_m.size:
-        for own in layout.by_point(live).values():
-            sd = float(priors.position_m[own[0]])
-            entries += [(own, tangent, sd) for tangent in SHIFT if sd > 0.0]
-    sizes = ((GAIN, priors.laser_gain), (PHASE, priors.laser_phase_rad), (DELAY, priors.laser_delay_s))
-    for own in layout.by_laser(live).values():
-        entries += [(own, tangent, sd) for tangent, sd in sizes if sd > 0.0]
-    return Parameters.of(len(layout.points), entries)
+    lasers, _ = lasers_of(bodies)
+    errors = []
+    if calibrate:
+        every, sd = tuple(range(body_starts(bodies)[-1])), float(np.deg2rad(AXES_SD_DEG))
+        errors += [ChannelError(f"axes.{k}", every, turn, sd) for k, turn in zip("xyz", TURN, strict=True)]
+        errors += [
+            ChannelError(f"beam.{number}.{letter}", own, tangent, float(np.deg2rad(BEAM_SD_DEG)))
+            for number, own in enumerate(lasers, 1)
+            for letter, tangent in (("u", BEAM_U), ("v", BEAM_V))
+        ]
+    errors += [
+        ChannelError(f"{kind}.{number}", own, tangent, laser_sd[kind])
+        for kind, tangent in LASER_KINDS.items()
+        for number, own in enumerate(lasers, 1)
+        if len(lasers) > 1 and laser_sd.get(kind, 0.0) > 0.0
+    ]
+    for start, body in zip(body_starts(bodies), bodies, strict=False):
+        for point in dict.fromkeys(body.points):
+            own = body.channels_of(point)
+            sd = float(body.position_sd_m[own[0]])
+            channels = tuple(start + channel for channel in own)
+            for axis, shift in zip("xyz" if sd > 0.0 else "", SHIFT, strict=False):
+                errors.append(ChannelError(f"position.{body.body}.{point}.{axis}", channels, shift, sd))
+    return errors

@@ -16,20 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.search import Diagnosis
-from kinematics.fit.lasers import laser_numbers
 from kinematics.joint.estimate import joint
-from kinematics.joint.expected import ChannelError
+from kinematics.joint.expected import LASER_KINDS, ChannelError, body_starts, lasers_of, stated_errors
 from kinematics.joint.pack import Packed, pack
-from kinematics.joint.tangents import BEAM_U, BEAM_V, DELAY, GAIN, PHASE, SHIFT, TURN, Geometry, Parameters
-from kinematics.measurement import Measurement, direction_name
+from kinematics.joint.tangents import Geometry, Parameters
+from kinematics.measurement import Measurement
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
-
-LASER_KINDS = {"laser_gain": GAIN, "laser_phase": PHASE, "laser_delay": DELAY}
-AXES_SD_DEG = 1.0
-"""Turn between beams and positions: holders are set by eye."""
-BEAM_SD_DEG = 0.5
-"""Direction of each laser: that of a head on its mount."""
 
 _SHOWN = {
     "laser_gain": ("gain of laser", 100.0, "%"),
@@ -152,56 +145,6 @@ class ErrorEstimate:
         return notices
 
 
-def body_starts(placed: Measurement) -> list[int]:
-    """Return the number of the first channel of each body, and that of all channels."""
-    return [0, *np.cumsum([len(body.points) for body in placed.bodies]).tolist()]
-
-
-def lasers_of(placed: Measurement) -> tuple[list[tuple[int, ...]], tuple[str, ...]]:
-    """Group channels by laser; return the channels of each and the mean direction of its beams."""
-    directions = np.concatenate([body.directions for body in placed.bodies])
-    number = laser_numbers(directions)
-    lasers = [tuple(np.flatnonzero(number == k).tolist()) for k in range(number.max() + 1)]
-    mean = [directions[list(own)].mean(axis=0) for own in lasers]
-    return lasers, tuple(direction_name(one / np.linalg.norm(one)) for one in mean)
-
-
-def stated_errors(
-    placed: Measurement, laser_sd: Mapping[str, float], calibrate: bool = False
-) -> list[ChannelError]:
-    """Return what is stated of lasers (not of a single one) and positions; to calibrate also axes and beams.
-
-    Parameters
-    ----------
-    laser_sd : mapping of str to float
-        By the names of `LASER_KINDS`: 1, rad and s; those that are exact are left out.
-    """
-    lasers, _ = lasers_of(placed)
-    errors = []
-    if calibrate:
-        every, sd = tuple(range(body_starts(placed)[-1])), float(np.deg2rad(AXES_SD_DEG))
-        errors += [ChannelError(f"axes.{k}", every, turn, sd) for k, turn in zip("xyz", TURN, strict=True)]
-        errors += [
-            ChannelError(f"beam.{number}.{letter}", own, tangent, float(np.deg2rad(BEAM_SD_DEG)))
-            for number, own in enumerate(lasers, 1)
-            for letter, tangent in (("u", BEAM_U), ("v", BEAM_V))
-        ]
-    errors += [
-        ChannelError(f"{kind}.{number}", own, tangent, laser_sd[kind])
-        for kind, tangent in LASER_KINDS.items()
-        for number, own in enumerate(lasers, 1)
-        if len(lasers) > 1 and laser_sd.get(kind, 0.0) > 0.0
-    ]
-    for start, body in zip(body_starts(placed), placed.bodies, strict=False):
-        for point in dict.fromkeys(body.points):
-            own = body.channels_of(point)
-            sd = float(body.position_sd_m[own[0]])
-            channels = tuple(start + channel for channel in own)
-            for axis, shift in zip("xyz" if sd > 0.0 else "", SHIFT, strict=False):
-                errors.append(ChannelError(f"position.{body.body}.{point}.{axis}", channels, shift, sd))
-    return errors
-
-
 def agreement(
     placed: Measurement,
     diagnoses: Mapping[int, Diagnosis],
@@ -225,7 +168,7 @@ def agreement(
     ErrorEstimate or None
         None where nothing is stated.
     """
-    errors = stated_errors(placed, laser_sd, calibrate)
+    errors = stated_errors(placed.bodies, laser_sd, calibrate)
     alone = all(error.kind == "position" for error in errors)
     packs = {}
     for number, found in diagnoses.items() if not alone else ():
@@ -254,7 +197,7 @@ def estimate_errors(
     motion, the information that the noise of the estimated motion itself adds is negligible.
     """
     stated = np.array([error.sd for error in errors])
-    beams = lasers_of(placed)[1]
+    beams = lasers_of(placed.bodies)[1]
     if not packs:
         return ErrorEstimate(tuple(errors), 0.0 * stated, np.diag(stated**2), beams)
     found = joint(_side_by_side(placed, packs), parameters_of(placed, errors))
@@ -264,7 +207,7 @@ def estimate_errors(
 def parameters_of(placed: Measurement, errors: Sequence[ChannelError]) -> Parameters:
     """Return the parameters (p,) of errors out of the channels of all bodies."""
     entries = [(one.channels, one.tangent, one.sd) for one in errors]
-    return Parameters.of(body_starts(placed)[-1], entries)
+    return Parameters.of(body_starts(placed.bodies)[-1], entries)
 
 
 def with_errors(placed: Measurement, found: ErrorEstimate) -> Measurement:
@@ -272,7 +215,7 @@ def with_errors(placed: Measurement, found: ErrorEstimate) -> Measurement:
     parameters = parameters_of(placed, found.errors)
     omega = 2.0 * np.pi * placed.freq_hz
     bodies = []
-    for start, body in zip(body_starts(placed), placed.bodies, strict=False):
+    for start, body in zip(body_starts(placed.bodies), placed.bodies, strict=False):
         count = len(body.points)
         own = replace(parameters, mask=parameters.mask[:, start : start + count])
         as_given = Geometry(body.arms_m, body.directions, np.ones((1, count), dtype=complex))
@@ -294,7 +237,7 @@ def _side_by_side(placed: Measurement, packs: Mapping[int, Packed]) -> Packed:
 
     Every group of lines keeps its own motion, which only the channels of its own body see.
     """
-    starts = body_starts(placed)
+    starts = body_starts(placed.bodies)
     groups = sum(len(packed.y) for packed in packs.values())
     y = np.zeros((groups, starts[-1], max(packed.y.shape[2] for packed in packs.values())), dtype=complex)
     w = np.zeros(y.shape[:2])

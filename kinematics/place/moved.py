@@ -14,7 +14,7 @@ from kinematics.place.handedness import UNITS, axes_changes
 from kinematics.place.placement import Placement
 from kinematics.place.surfaces import Surface
 from stapeskit.arrays import Array
-from stapeskit.faults import StapeskitError
+from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.spatial import point_rows
@@ -30,7 +30,7 @@ _CURED = 0.3  # share of the distance that other axes or units may leave
 _LEAST_POINTS = 3
 _REACH_MM = 8.0  # a stapes is about 3.5 mm high and 3 mm long
 _LEAST_EXTENT_MM = 0.2  # of points that may show their axes or unit: a smaller cloud lies on any surface
-_EXTENT_MM = (1e-2, 100.0)  # of the points of a stapes: its 3 mm look like 3 um when given in metres
+_EXTENT_MM = (0.01, 300.0)  # of the points of a body: its 3 mm look like 3 um when given in metres
 
 
 @dataclass(frozen=True)
@@ -115,23 +115,24 @@ def check_surfaces(
 
 
 def check_extent(measurement: Measurement) -> None:
-    """Refuse points of a stapes within 10 um, or far apart: their coordinates are in another unit.
+    """Refuse points of a body within 10 um, or far apart: their coordinates are in another unit.
 
     Raises
     ------
     StapeskitError
-        They do.
+        Points of some bodies are so.
     """
+    faults = []
     for body in measurement.bodies:
-        if body.body == "stapes":
-            extent = 1e3 * float(np.max(np.ptp(body.arms_m, axis=0)))
-            small = extent < _EXTENT_MM[0]
-            if extent > 0.0 and not _EXTENT_MM[0] <= extent <= _EXTENT_MM[1]:
-                step = (
-                    f"Give coordinates in mm: those in {'metres times' if small else 'micrometres over'} 1000"
-                )
-                thing = "the extent of the points of body stapes"
-                raise StapeskitError.of(thing, "some mm", f"{extent:.3g} mm", "", step)
+        extent = 1e3 * float(np.max(np.ptp(body.arms_m, axis=0)))
+        if extent > 0.0 and not _EXTENT_MM[0] <= extent <= _EXTENT_MM[1]:
+            unit = "metres times" if extent < _EXTENT_MM[0] else "micrometres over"
+            thing, step = (
+                f"the extent of the points of body {body.body}",
+                f"Give coordinates in mm: those in {unit} 1000",
+            )
+            faults.append(Fault(thing, "some mm", f"{extent:.3g} mm", "", step))
+    raise_all(faults)
 
 
 def far_away(placed: Measurement) -> list[Notice]:

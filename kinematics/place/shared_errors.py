@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.fit.rigid_fit import LineFit
-from kinematics.joint.expected import ChannelError
+from kinematics.joint.expected import ChannelError, body_starts
 from kinematics.joint.tangents import DELAY, GAIN, GAIN_DRIFT, PHASE, PHASE_DRIFT, SHIFT, Geometry
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.place.errors import ErrorEstimate, body_starts
+from kinematics.place.errors import ErrorEstimate
 from kinematics.place.placement import Placement, block_diagonal
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.rigid_motion import SharedErrors
@@ -219,7 +219,7 @@ def tangent_rows(body: BodyChannels, own: Sequence[int], tangent: int) -> Comple
 
 def effects(placed: Measurement, errors: Sequence[ChannelError], prefix: str = "") -> list[Parameter]:
     """Return what errors of channels change, under their names with a prefix."""
-    starts = body_starts(placed)
+    starts = body_starts(placed.bodies)
     found = []
     for error in errors:
         rows = {}

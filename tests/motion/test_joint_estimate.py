@@ -1,10 +1,13 @@
 """The model of a channel and its estimator: derivatives, covariance, priors, packing without loss."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from kinematics.joint.estimate import State, inverse, joint, system
-from kinematics.joint.expected import Layout, Priors, expected_errors
+from kinematics.joint.expected import Layout, stated_errors
+from kinematics.joint.lasers import laser_numbers
 from kinematics.joint.pack import Readings, pack
 from kinematics.joint.tangents import COUNT, DELAY, GAIN, GAIN_DRIFT, PHASE, SHIFT, TURN, Parameters
 from tests.motion.bodies import as_measurement, recorded
@@ -88,13 +91,14 @@ def test_turn_of_all_beams_is_found_against_the_positions():
 
 
 def test_expected_errors_are_those_of_points_and_lasers():
-    layout = Layout(("a", "a", "b", "b"), np.array([0, 1, 0, 1]))
-    priors = Priors(position_m=np.array([1e-5, 1e-5, 0.0, 0.0]))
-    expected = expected_errors(layout, [0, 1, 2, 3], priors)
-    assert len(expected) == 3 + 2 * 3
+    body = as_measurement(recorded(1, points=2, lines=4, position_sd_mm=0.01)).bodies[0]
+    body = replace(body, position_sd_m=np.repeat([1e-5, 0.0], 3))
+    layout = Layout(body.points, laser_numbers(body.directions), tuple(stated_errors([body])))
+    expected = layout.expected(range(6))
+    assert len(expected) == 3 + 3 * 3
     assert expected.sd[expected.tangent == DELAY] == pytest.approx(1e-6)
-    alone = expected_errors(Layout(("a", "b"), np.zeros(2, dtype=int)), [0, 1], Priors())
-    assert len(alone) == 0
+    assert len(layout.expected([3])) == 0
+    assert len(layout.expected([0])) == 3
 
 
 def test_a_singular_information_has_a_pseudo_inverse():

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinematics.joint.expected import stated_errors
 from kinematics.joint.pack import Readings, pack
 from kinematics.joint.tangents import Geometry
-from kinematics.place.errors import estimate_errors, parameters_of, stated_errors, with_errors
+from kinematics.place.errors import estimate_errors, parameters_of, with_errors
 from tests.motion_command.test_shared_errors import fitted, measurement
 
 LASER_SD = {"laser_gain": 0.01, "laser_phase": np.deg2rad(0.5), "laser_delay": 1e-6}
@@ -20,7 +21,7 @@ def drawn(seed, position_sd=2e-5):
     true = measurement(seed, points=8, lines=60, position_sd=position_sd)
     rng = np.random.default_rng([seed, 5])
     body = true.bodies[0]
-    stated = stated_errors(true, LASER_SD, calibrate=True)
+    stated = stated_errors(true.bodies, LASER_SD, calibrate=True)
     parameters = parameters_of(true, stated)
     off = 1.0
     while off > 1e-9:  # the normals of a beam jump where two of its components are alike: draw again
@@ -48,7 +49,7 @@ def drawn(seed, position_sd=2e-5):
 def calibrate(placed):
     body = placed.bodies[0]
     packed = pack(Readings.of(body.value, body.sd, placed.freq_hz, body.arms_m, body.directions))
-    return estimate_errors(placed, stated_errors(placed, LASER_SD, calibrate=True), {0: packed})
+    return estimate_errors(placed, stated_errors(placed.bodies, LASER_SD, calibrate=True), {0: packed})
 
 
 def test_errors_lie_within_what_is_stated_of_them():

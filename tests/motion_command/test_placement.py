@@ -174,8 +174,9 @@ def test_points_in_metres_are_refused(tmp_path):
     rewrite(tmp_path / "points.csv", shrink)
     with pytest.raises(StapeskitError) as caught:
         measured(tmp_path, fiducials="none")
-    assert caught.value.faults[0].thing == "the extent of the points of body stapes"
-    assert "those in metres times 1000" in caught.value.faults[0].next_step
+    things = [fault.thing for fault in caught.value.faults]
+    assert things == [f"the extent of the points of body {body}" for body in ("stapes", "base")]
+    assert all("those in metres times 1000" in fault.next_step for fault in caught.value.faults)
 
 
 def turned_points(result_folder, change):

@@ -9,10 +9,11 @@ import pytest
 
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
+from kinematics.joint.expected import lasers_of, stated_errors
 from kinematics.joint.tangents import BEAM_U, DELAY, GAIN, PHASE, SHIFT, TURN, Geometry, Parameters
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.place import shared_errors as shared
-from kinematics.place.errors import estimate_errors, lasers_of, stated_errors
+from kinematics.place.errors import estimate_errors
 from kinematics.place.placement import Placement
 from simulate import Experiment, measure_motion, resonant_motion, scattered_points
 from stapeskit.spatial import DOF_NAMES, point_rows
@@ -90,7 +91,7 @@ def test_derivatives_are_those_of_perturbed_fits(tangent, missing, dof):
 
 
 def as_stated(placed):
-    return estimate_errors(placed, stated_errors(placed, {}), {})
+    return estimate_errors(placed, stated_errors(placed.bodies, {}), {})
 
 
 def test_maps_make_the_derivatives():
@@ -162,7 +163,7 @@ def test_errors_of_a_laser_are_estimated_and_the_motion_is_corrected(tmp_path):
     beam = off_lasers(tmp_path, 0.015, 0.8)
     result = measured(tmp_path)
     lasers = result.errors.shown
-    groups, beams = lasers_of(result.measurement)
+    groups, beams = lasers_of(result.measurement.bodies)
     count = len(beams)
     every = np.concatenate([body.directions for body in result.measurement.bodies])
     own = int(np.argmin([np.linalg.norm(every[group[0]] - beam) for group in groups]))
@@ -196,8 +197,8 @@ def test_one_laser_has_nothing_to_agree_with():
     along = replace(
         placed, bodies=(replace(body, directions=np.tile([0.0, 1.0, 0.0], (len(body.points), 1))),)
     )
-    assert len(lasers_of(along)[0]) == 1
-    assert all(error.kind == "position" for error in stated_errors(along, {"laser_gain": 0.01}))
+    assert len(lasers_of(along.bodies)[0]) == 1
+    assert all(error.kind == "position" for error in stated_errors(along.bodies, {"laser_gain": 0.01}))
 
 
 def test_calibration_finds_a_turn_of_all_beams(tmp_path):
