@@ -45,7 +45,7 @@ def medial_view(content: Mapping[str, Any], pictured: Pictured) -> Figure:
     frame = frame_of(content, "footplate")
     assert frame is not None  # noqa: S101 - every mass.json has it
     local = frame.inverse().points(pictured.light_stapes.vertices_mm)
-    drawing, grid = panels(1, 1, width=4.6, height=3.4, margins=(0.5, 0.1, 0.3, 0.5), gaps=(0.6, 0.1))
+    drawing, grid = panels(1, 1, width=4.6, height=2.6, margins=(0.72, 0.1, 0.3, 0.46), gaps=(0.6, 0.1))
     axes, names = grid[0, 0], anatomy_of(content)
     _shade(axes, local @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]).T, pictured)
     axes.set_title(f"seen from {_word('-y', names)}")

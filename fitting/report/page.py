@@ -78,7 +78,7 @@ def responses_section(fit: KDFit) -> tuple[str, *tuple[Markup, ...]]:
     caption = (
         "Motion of the footplate centre, and the response of the fitted model to the measured motion of the "
         "base at the same point and to the load of other measured motion (paper, Eq. 8, Figs. 4 and 5); the "
-        "band is 95 % of K and D, ripples of the line are noise of the base."
+        "band is 95 % of K and D with this M, ripples of the line are noise of the base."
     )
     runs = fit.found.data.runs[:MOST_RUNS]
     figures = []
@@ -246,7 +246,7 @@ def _causes(fit: KDFit) -> list[Markup]:
         head = ("explanation", "size", "odds against none", "explains the data", "weight")
         caption = "Intervals of K and D are averaged over these explanations with their weights."
         blocks.append(page.table(head, rows, caption))
-    caption = "No pattern (left) and a straight line (right) mean that the model holds."
+    caption = "No pattern, and one of twenty beyond the dotted lines (95 %), mean that the model holds."
     blocks.append(page.figure(residual_figure(fit), caption, "residuals", file="residuals"))
     if fit.laws:
         compared = [

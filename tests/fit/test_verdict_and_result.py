@@ -11,6 +11,7 @@ from fitting.checks import judge, unused_codes
 from fitting.montecarlo import scatter
 from fitting.plan import Plan, expect, stated_mass
 from fitting.planned_motion import planned_motion
+from fitting.report.figures import responses
 from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.spatial import matrix_from_parameters
 from stapeskit.warnings import VERDICTS, Notice, table
@@ -115,12 +116,14 @@ def test_sources_and_bound_agree_with_the_whole(ear):
     assert relative == pytest.approx(0.02, rel=0.1)
 
 
-def test_density_sd_reaches_k_and_no_mode(ear):
+def test_density_sd_reaches_k_and_no_mode_and_no_response(ear):
     drawn, result = ear
     exact = fit(drawn.motion, MassMatrix(drawn.mass.parameters))
     grown = result.covariance[0, 0] - exact.covariance[0, 0]
     assert np.sqrt(grown) / result.stiffness[0, 0] == pytest.approx(0.02, rel=0.1)
     assert result.derived.frequency_sd_hz == pytest.approx(exact.derived.frequency_sd_hz, rel=0.1)
+    bands = [responses(one).simulated_sd for one in (result, exact)]
+    assert bands[0] == pytest.approx(bands[1], rel=0.1)
 
 
 def test_frame_and_plot_and_table(ear):
