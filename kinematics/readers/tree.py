@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kinematics.readers.gather import from_parts
+from kinematics.readers.text import CUT
+from stapeskit.faults import StapeskitError
 
 if TYPE_CHECKING:
     import h5py
@@ -26,8 +28,9 @@ def read_tree(path: Path) -> dict[str, Any]:
         import h5py
 
         with h5py.File(path, "r") as file:
-            tree = {name: _value(file, node, 0) for name, node in file.items() if not name.startswith("#")}
-            return {**{name: _text(value) for name, value in file.attrs.items()}, **tree}
+            nodes = {_text(name): node for name, node in file.items()}
+            tree = {name: _value(file, node, 0) for name, node in nodes.items() if not name.startswith("#")}
+            return {**{_text(name): _text(value) for name, value in file.attrs.items()}, **tree}
     from scipy.io import loadmat
     from scipy.io.matlab import MatlabFunction, MatlabOpaque
 
@@ -41,16 +44,19 @@ def _text(value: Any) -> Any:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
 
 
-def _value(file: h5py.File, node: h5py.Group | h5py.Dataset, depth: int) -> Any:
+def _value(file: h5py.File, node: h5py.Group | h5py.Dataset | None, depth: int) -> Any:
     """Return a node; MATLAB writes dimensions in reverse, texts as numbers, cells as references."""
     import h5py
 
+    if node is None:
+        name = Path(file.filename).name
+        raise StapeskitError.of("an HDF5 file", "whole", "an object that cannot be opened", name, CUT)
     kind = _text(node.attrs.get("MATLAB_class", b""))
     kind = str(_text(kind.item()) if isinstance(kind, np.generic) else kind)
     if depth > _DEEPEST:
         return {}
     if isinstance(node, h5py.Group):
-        fields = {name: _value(file, one, depth + 1) for name, one in node.items()}
+        fields = {_text(name): _value(file, one, depth + 1) for name, one in node.items()}
         lists = {name: value for name, value in fields.items() if isinstance(value, list)}
         lengths = {len(value) for value in lists.values()}
         if kind == "struct" and len(lists) == len(fields) and len(lengths) == 1:  # a struct array

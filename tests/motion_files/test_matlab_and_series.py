@@ -142,6 +142,22 @@ def test_newer_classes_of_matlab_are_named_with_the_cure(kind, tmp_path):
     assert "cellstr" in caught.value.faults[0].next_step
 
 
+def test_an_object_that_cannot_be_opened_is_refused_in_words(tmp_path):
+    """Its name is there: without it the file would be another measurement."""
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["freq_hz"], file["y"], file["unit"] = FREQ_HZ, Z, "m/s"
+        file["sd"] = h5py.SoftLink("/nothing")
+    (fault,) = (_refused(path)).faults
+    assert "cannot be opened" in fault.got
+
+
+def _refused(path):
+    with pytest.raises(StapeskitError) as caught:
+        read_file(path, FileFacts())
+    return caught.value
+
+
 def multisine(noise=0.0, seconds=2.0, rate=8000.0, seed=4):
     """Responses of two points to a multisine drive of 0.1 s period: (time, drive, responses, freq, truth)."""
     rng = np.random.default_rng(seed)
