@@ -92,13 +92,15 @@ def test_correct_ears_raise_no_alarm_and_intervals_hold():
     assert alarms <= 1  # of 12, at a rate of 2 %: 98 %
 
 
-def test_weak_band_below_the_poles_holds_its_intervals():
+def test_weak_band_below_the_poles_holds_its_intervals_and_what_it_knows():
+    """Rocking drowns in the noise there; the piston, with errors of 4 % over many ears, does not."""
     outside = []
-    for seed in range(2):
-        ear = ring_ear(300 + seed, 0.1, 0.03, 30, (400.0, 1200.0))
+    for seed in range(7004, 7008):
+        ear = ring_ear(seed, 0.1, 0.03, 30, (400.0, 1200.0))
         result = fit(ear.motion, ear.mass, unknowns="none")
         outside.append(np.abs(deviation(result, ear.truth)) > 1.96)
-    assert np.mean(outside) <= 2 / 24
+        assert result.sd[0] < 0.25 * ear.truth[0]
+    assert np.mean(outside) <= 2 / 48
 
 
 @pytest.mark.parametrize("law", ["viscous", "hysteretic", "fractional"])
