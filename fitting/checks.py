@@ -33,11 +33,27 @@ _CHAIN = ("stapeskit", "ct_inertia", "kinematics", "fitting", "pipeline")  # roo
 # Residuals beyond the noise widen the sd, which covers noise that was stated too small. Where K and D change
 # over the band as well, the one pair of matrices is wrong, and widening does not cover that.
 _TOGETHER = (("misfit", "frequency_dependent"), ("flexible", "frequency_dependent"))
+_OF_MODEL = ("frequency_dependent", "misfit")
 # What a wrong input makes; its cause is listed before it.
 _OUTCOMES = (
-    "frequency_dependent", "misfit", "implausible_stiffness", "constraint_active", "not_passive", "unstable",
-    "not_converged", "weak_identifiability", "undetermined",
+    *_OF_MODEL, "implausible_stiffness", "constraint_active", "not_passive", "unstable", "not_converged",
+    "weak_identifiability", "undetermined",
 )  # fmt: skip
+# Causes with a name, the first of which counts, and what follows from each: of motion that is another than
+# its file says, everything; of one wrong reading or unknown, that the model does not hold.
+_CAUSES = {
+    **dict.fromkeys(
+        ("bodies_exchanged", "phase_convention", "unit_slip", "other_mass_file"), (*_OUTCOMES, "cause_found")
+    ),
+    **dict.fromkeys(
+        (
+            "channel_label_swap", "channel_sign", "channel_direction", "channel_position", "channel_gain",
+            "channel_drift", "drift_between_points", "lasers_disagree", "sample_moved", "flexible",
+            "cause_found",
+        ),
+        _OF_MODEL,
+    ),
+}  # fmt: skip
 
 PISTON_RANGE = (120.0, 3200.0)
 """Published stiffness of the human annular ligament in piston direction, N/m (paper.md, 6, with a margin)."""
@@ -66,7 +82,7 @@ def verdict_of(fit: KDFit) -> Verdict:
 
 def result_notices(fit: KDFit) -> list[Notice]:
     """Return every warning that a result deserves."""
-    checks = (_physics, _noise, _model, _inputs, _plane, _weak, _plausibility)
+    checks = (_model, _physics, _noise, _inputs, _plane, _weak, _plausibility)
     return [notice for check in checks for notice in check(fit)]
 
 
@@ -307,11 +323,15 @@ class Reason:
     code: str
     text: str
     level: str
+    follows_from: str = ""  # code of the cause that it is a consequence of
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Believe, check or do not use, with reasons by weight; codes that the user confirmed do not count."""
+    """Believe, check or do not use, with reasons by weight; codes that the user confirmed do not count.
+
+    A cause has the weight of what follows from it and comes first.
+    """
 
     level: str
     reasons: tuple[Reason, ...]
@@ -322,8 +342,8 @@ class Verdict:
         """The verdict in one line, the same on every terminal and page."""
         if not self.reasons:
             return f"{self.level}: no warning speaks against it"
-        codes = dict.fromkeys(reason.code for reason in self.reasons if reason.level == self.level)
-        return f"{self.level}: {list_some(codes, 5)}"
+        heavy = [reason for reason in self.reasons if reason.level == self.level]
+        return f"{self.level}: {list_some(dict.fromkeys(one.follows_from or one.code for one in heavy), 5)}"
 
     def as_json(self) -> dict[str, Any]:
         """Return the block ``verdict`` of kd.json."""
@@ -344,11 +364,25 @@ def judge(notices: Iterable[Notice], confirmed: Sequence[str] = (), unused: Sequ
     checked = [notice.code for notice in listed if _is_among(notice.code, confirmed)]
     left = [notice for notice in listed if not _is_among(notice.code, (*confirmed, *unused))]
     codes = {notice.code for notice in left}
-    reasons = [Reason(notice.code, notice.text, _level(notice.code, codes)) for notice in left]
-    reasons = [reason for reason in reasons if reason.level != BELIEVE]
-    reasons.sort(key=lambda reason: (-LEVELS.index(reason.level), *_rank(reason.code)))
-    level = max((reason.level for reason in reasons), key=LEVELS.index, default=BELIEVE)
-    return Verdict(level, tuple(reasons), tuple(dict.fromkeys(checked)))
+    cause = next((code for code in _CAUSES if code in codes), "")
+    found = [_reason(notice, codes, cause) for notice in left]
+    reasons = [reason for reason in found if reason.level != BELIEVE]
+    weights = [LEVELS.index(reason.level) for reason in reasons]
+    made = max((weight for weight, one in zip(weights, reasons, strict=True) if one.follows_from), default=0)
+    order = [
+        (-max(weight, made if reason.code == cause else 0), *_rank(reason))
+        for weight, reason in zip(weights, reasons, strict=True)
+    ]
+    reasons = [reasons[place] for place in sorted(range(len(reasons)), key=order.__getitem__)]
+    return Verdict(LEVELS[max(weights, default=0)], tuple(reasons), tuple(dict.fromkeys(checked)))
+
+
+def _reason(notice: Notice, codes: set[str], cause: str) -> Reason:
+    """Return a warning as a reason, with the cause that it follows from."""
+    level = _level(notice.code, codes)
+    if notice.code == cause or notice.code not in _CAUSES.get(cause, ()):
+        return Reason(notice.code, notice.text, level)
+    return Reason(notice.code, f"Follows from {cause}: {notice.text}", level, cause)
 
 
 def _is_among(code: str, names: Sequence[str]) -> bool:
@@ -363,10 +397,11 @@ def _level(code: str, codes: set[str]) -> str:
     return BELIEVE if level == INFORMATION else level
 
 
-def _rank(code: str) -> tuple[int, int]:
-    """Return the order of a code: what others follow from comes first, room by room of the chain."""
-    room = table()[code].room if code in table() else "fitting"
-    return (1 + _OUTCOMES.index(code) if code in _OUTCOMES else 0, _CHAIN.index(room))
+def _rank(reason: Reason) -> tuple[int, int]:
+    """Return the order of a reason: what others follow from comes first, room by room of the chain."""
+    room = table()[reason.code].room if reason.code in table() else "fitting"
+    late = bool(reason.follows_from) or reason.code in _OUTCOMES
+    return (1 + (*_OUTCOMES, reason.code).index(reason.code) if late else 0, _CHAIN.index(room))
 
 
 def unused_codes(motion_provenance: Mapping[str, Any]) -> tuple[str, ...]:

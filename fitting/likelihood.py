@@ -306,7 +306,7 @@ class Likelihood:
 
         What the noise of the fitted motion adds to J^T J is spread, but no information (Pintelon and
         Schoukens 2012, section 9.11); of directions that are nearly all noise a twentieth of the information
-        is kept.
+        is kept. Data with less noise than stated, to none in a plan, have added a share ``level`` of it.
         """
         _, whitening, back, _ = self.look(theta)
         hessian = self.information(theta)
@@ -320,14 +320,14 @@ class Likelihood:
             part = whitening @ self.slopes(theta, root[:, :, first : first + _AT_ONCE])
             spread = part.reshape(self.count, -1)
             added += 2.0 * (spread.conj() @ spread.T).real
-        added *= min(level, 1.0)
+        level = min(level, 1.0)
         size = np.sqrt(np.diag(hessian))
         values, vectors = np.linalg.eigh(hessian / np.outer(size, size))
         values = np.maximum(values, 1e-14 * values[-1])
         half = (vectors / np.sqrt(values)) @ vectors.T / size[None, :]
-        shares, turned = np.linalg.eigh(np.eye(len(size)) - half @ added @ half.T)
+        shares, turned = np.linalg.eigh(np.eye(len(size)) - level * half @ added @ half.T)
         inverse = half.T @ (turned / np.maximum(shares, _LEAST_INFORMATION)) @ turned.T @ half
-        return inverse @ hessian @ inverse, inverse
+        return inverse @ (hessian + (1.0 - level) * added) @ inverse, inverse
 
 
 def _real_rows(white: ComplexArray) -> Array:
