@@ -33,11 +33,11 @@ _CHAIN = ("stapeskit", "ct_inertia", "kinematics", "fitting", "pipeline")  # roo
 # Residuals beyond the noise widen the sd, which covers noise that was stated too small. Where K and D change
 # over the band as well, the one pair of matrices is wrong, and widening does not cover that.
 _TOGETHER = (("misfit", "frequency_dependent"), ("flexible", "frequency_dependent"))
-_OF_MODEL = ("frequency_dependent", "misfit")
+_OF_MODEL, _WEAK = ("frequency_dependent", "misfit"), ("weak_identifiability", "undetermined")
 # What a wrong input makes; its cause is listed before it.
 _OUTCOMES = (
     *_OF_MODEL, "implausible_stiffness", "constraint_active", "not_passive", "unstable", "not_converged",
-    "weak_identifiability", "undetermined",
+    *_WEAK,
 )  # fmt: skip
 # Causes with a name, the first of which counts, and what follows from each: of motion that is another than
 # its file says, everything; of one wrong reading or unknown, that the model does not hold.
@@ -49,10 +49,10 @@ _CAUSES = {
         (
             "channel_label_swap", "channel_sign", "channel_direction", "channel_position", "channel_gain",
             "channel_drift", "drift_between_points", "lasers_disagree", "sample_moved", "flexible",
-            "cause_found",
         ),
         _OF_MODEL,
     ),
+    "cause_found": (*_OF_MODEL, *_WEAK),
 }  # fmt: skip
 
 PISTON_RANGE = (120.0, 3200.0)
@@ -72,12 +72,16 @@ def verdict_of(fit: KDFit) -> Verdict:
 
     A K without its damping can still be used, which the verdict "check" asks to be looked at.
     """
-    lost = [name for name, sd in _relative_sds(fit).items() if not sd <= 1.0]
+    relative = _relative_sds(fit)
+    lost = [name for name, sd in relative.items() if not sd <= 1.0]
     text = f"Undetermined, with a standard deviation above the value: {', '.join(lost)}."
     stiff = any(name.startswith("K") for name in lost)
     notice = Notice("undetermined", text) if stiff else Notice("weak_identifiability", text)
     unused = unused_codes(fit.provenance.get("motion_provenance", {}))
-    return judge([*fit.notices, *([notice] if lost else [])], fit.confirmed, unused)
+    worst = entries.diagonals(len(fit.dof))[int(np.argmax(list(relative.values())))]
+    by_itself = np.sum(fit.model_error[worst] ** 2) < 0.5 * fit.covariance[worst, worst]
+    given = [*fit.notices, *([notice] if lost else [])]
+    return judge(given, fit.confirmed, unused, _WEAK if by_itself else ())
 
 
 def result_notices(fit: KDFit) -> list[Notice]:
@@ -350,7 +354,12 @@ class Verdict:
         return {**asdict(self), "sentence": self.sentence}
 
 
-def judge(notices: Iterable[Notice], confirmed: Sequence[str] = (), unused: Sequence[str] = ()) -> Verdict:
+def judge(
+    notices: Iterable[Notice],
+    confirmed: Sequence[str] = (),
+    unused: Sequence[str] = (),
+    apart: Sequence[str] = (),
+) -> Verdict:
     """Return the verdict that warnings lead to.
 
     Parameters
@@ -359,13 +368,15 @@ def judge(notices: Iterable[Notice], confirmed: Sequence[str] = (), unused: Sequ
         Codes, or their first words (``handedness``), that the user has checked: they no longer count.
     unused : sequence of str
         Codes, or their first words, that follow from what the study does not use.
+    apart : sequence of str
+        Codes that follow from no cause among the warnings.
     """
     listed = list(dict.fromkeys(notices))
     checked = [notice.code for notice in listed if _is_among(notice.code, confirmed)]
     left = [notice for notice in listed if not _is_among(notice.code, (*confirmed, *unused))]
     codes = {notice.code for notice in left}
     cause = next((code for code in _CAUSES if code in codes), "")
-    found = [_reason(notice, codes, cause) for notice in left]
+    found = [_reason(notice, codes, "" if notice.code in apart else cause) for notice in left]
     reasons = [reason for reason in found if reason.level != BELIEVE]
     weights = [LEVELS.index(reason.level) for reason in reasons]
     made = max((weight for weight, one in zip(weights, reasons, strict=True) if one.follows_from), default=0)

@@ -208,7 +208,8 @@ def _refit(found: Fit, score: Score, explained: bool) -> Alternative | None:
     for value in (first, *unknown.starts):
         theta = np.insert(found.theta, place, [value, *np.zeros(size - 1)])
         if best is not None:
-            if explained or best.explained:
+            better = best.chi2 < found.chi2  # else it ended in a valley: what is more can only explain more
+            if better and (explained or best.explained):
                 break
             theta = start_of(Likelihood(found.data, model, found.noise), theta, 2)
         try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -36,13 +36,11 @@ def fit_kd(data: Data, inertia: Inertia, options: KDOptions) -> KDFit:
     numpy.linalg.LinAlgError
         The data do not determine the unknowns in numbers.
     """
-    model = model_of(data, options)
+    model, compared = model_of(data, options), options.damping == COMPARE
     if options.estimator != "ml":
-        constrained = options.estimator == "constrained"
-        found, bias, active = estimate(data, model, constrained, options.lower or {}, options.upper or {})
-        return KDFit(options, inertia, found, active=active, bias=bias)
-    robust, compared = options.robust != "none", options.damping == COMPARE
-    laws = _compare_laws(data, model, robust) if compared else {}
+        return _by_textbook(data, model, inertia, options)
+    robust = options.robust != "none"
+    laws = _compare_laws(model, lambda own: fit(data, own, robust=robust)) if compared else {}
     found, alike = _likeliest(laws) if compared else (fit(data, model, robust=robust), ())
     causes = Search()
     left_out = options.inplane == IGNORE and data.loads_known
@@ -68,6 +66,23 @@ def fit_kd(data: Data, inertia: Inertia, options: KDOptions) -> KDFit:
     )
 
 
+def _by_textbook(data: Data, model: Model, inertia: Inertia, options: KDOptions) -> KDFit:
+    """Fit by least squares, with or without constraints; of compared laws the likeliest."""
+    constrained, bounds = options.estimator == "constrained", (options.lower or {}, options.upper or {})
+
+    def estimated(own: Model) -> Fit:
+        return estimate(data, own, constrained, *bounds)[0]
+
+    laws = _compare_laws(model, estimated) if options.damping == COMPARE else {}
+    best, alike = _likeliest(laws) if laws else (None, ())
+    model = model if best is None else best.likelihood.model
+    found, bias, active = estimate(data, model, constrained, *bounds)
+    causes = Search(alternatives=tuple(law_alternative(found, laws[name]) for name in alike))
+    return KDFit(
+        options, inertia, found, search=causes, laws=laws, laws_alike=alike, active=active, bias=bias
+    )
+
+
 def model_of(data: Data, options: KDOptions) -> Model:
     """Return the model that the options ask for, where data and mass can hold it.
 
@@ -90,7 +105,7 @@ def model_of(data: Data, options: KDOptions) -> Model:
     return plane_model(data, law, unknowns=unknowns)
 
 
-def _compare_laws(data: Data, model: Model, robust: bool) -> dict[str, Fit]:
+def _compare_laws(model: Model, fitted: Callable[[Model], Fit]) -> dict[str, Fit]:
     """Fit under every damping law; those that do not settle are left out.
 
     Raises
@@ -101,7 +116,7 @@ def _compare_laws(data: Data, model: Model, robust: bool) -> dict[str, Fit]:
     fits = {}
     for name in LAWS:
         try:
-            fits[name] = fit(data, replace(model, law=name), robust=robust)
+            fits[name] = fitted(replace(model, law=name))
         except np.linalg.LinAlgError:
             continue
     if not any(one.law.physical for one in fits.values()):

@@ -59,16 +59,6 @@ class KDOptions(Options):
             Fault("--robust", "none unless --estimator is ml", "t4", "", "Leave one of the two out"),
         ),
         Rule(
-            lambda v: v.estimator != "ml" and v.damping not in ("viscous", "hysteretic"),
-            Fault(
-                "--damping",
-                "viscous or hysteretic with --estimator pinv or constrained",
-                "another law",
-                "",
-                "Take --estimator ml",
-            ),
-        ),
-        Rule(
             lambda v: (v.lower or v.upper) and v.estimator != "constrained",
             Fault("--lower and --upper", "left out unless --estimator is constrained", "bounds"),
         ),

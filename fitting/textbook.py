@@ -15,12 +15,14 @@ from scipy.special import chdtrc
 
 from fitting.data import Data
 from fitting.entries import diagonals, names, split
+from fitting.laws import LAWS
 from fitting.likelihood import Likelihood, Model
 from fitting.model import state_matrix
 from fitting.solve import MISFIT_P, Fit, degrees, entry_scale, from_roots, roots_of
-from stapeskit.arrays import Array
+from stapeskit.arrays import Array, ComplexArray
 
 _MARGIN = 5e-7  # of the stability constraint, scaled
+_LAW_VALUES = 24  # of an exponent or a time that are tried before the search
 
 
 def estimate(
@@ -46,35 +48,75 @@ def estimate(
         What holds the estimate back.
     """
     likelihood = Likelihood(data, model)
-    entries, theta = likelihood.at["entries"], likelihood.mean.copy()
+    entries, law, theta = likelihood.at["entries"], likelihood.at["law"], likelihood.mean.copy()
     weights = np.ones(likelihood.n)
     if not constrained:  # rows in SI, as the paper has them
         weights = likelihood.row_units @ data.root_mass
         weights = weights / weights.max()
-    columns = weights[:, None] * likelihood.entry_slopes(theta, data.y[:, :, None])
-    columns = columns[..., 0].reshape(entries.stop, -1).T
-    rest = theta.copy()
-    rest[entries] = 0.0
-    constant = -(weights[:, None] * likelihood.act(rest, data.y[:, :, None])).ravel()
-    matrix, wanted = (np.concatenate([part.real, part.imag]) for part in (columns, constant))
-    size = np.linalg.norm(matrix, axis=0)
-    size = np.where(size > 0.0, size, 1.0)
-    free = np.linalg.lstsq(matrix / size, wanted, rcond=1e-13)[0] / size
+    if law.start < law.stop:
+        theta[law] = _law_value(likelihood, weights)
+    matrix, wanted = _regression(likelihood, theta, weights)
+    free, _ = _least_squares(matrix, wanted)
     active: tuple[str, ...] = ()
     if constrained:
         free, active = _constrained(matrix, wanted, free, likelihood, lower, upper)
     theta[entries] = free
-    return *_spread(likelihood, theta, matrix, weights), active
+    return *_spread(likelihood, theta, weights), active
 
 
-def _spread(likelihood: Likelihood, theta: Array, matrix: Array, weights: Array) -> tuple[Fit, Array]:
+def _regression(likelihood: Likelihood, theta: Array, weights: Array) -> tuple[Array, Array]:
+    """Return A and b of the equation error |A p - b| of K and D, with the law at theta."""
+    y, rest = likelihood.data.y[:, :, None], theta.copy()
+    rest[likelihood.at["entries"]] = 0.0
+    columns = (weights[:, None] * likelihood.entry_slopes(theta, y))[..., 0]
+    constant = -(weights[:, None] * likelihood.act(rest, y))[..., 0]
+    return _real_rows(columns), _real_rows(constant[None])[:, 0]
+
+
+def _real_rows(columns: ComplexArray) -> Array:
+    """Return columns of the equations (k, lines, n) as real rows (2 lines n, k): real parts first."""
+    flat = columns.reshape(len(columns), -1).T
+    return np.concatenate([flat.real, flat.imag])
+
+
+def _least_squares(matrix: Array, wanted: Array) -> tuple[Array, float]:
+    """Return the solution and the sum of squares that it leaves."""
+    size = np.linalg.norm(matrix, axis=0)
+    size = np.where(size > 0.0, size, 1.0)
+    solution = np.linalg.lstsq(matrix / size, wanted, rcond=1e-13)[0] / size
+    return solution, float(np.sum((matrix @ solution - wanted) ** 2))
+
+
+def _law_value(likelihood: Likelihood, weights: Array) -> float:
+    """Return the unknown of the damping law with the least equation error, K and D free at each value.
+
+    The equations are linear in all others (variable projection, Golub and Pereyra 1973,
+    doi:10.1137/0710036). With constraints too it is that of free K and D.
+    """
+    from scipy.optimize import minimize_scalar
+
+    kind, theta = LAWS[likelihood.model.law], likelihood.mean.copy()
+
+    def left(value: float) -> float:
+        theta[likelihood.at["law"]] = value
+        return _least_squares(*_regression(likelihood, theta, weights))[1]
+
+    grid = np.linspace(0.0, kind.usual + 2.0 * kind.usual_sd, _LAW_VALUES + 1)[1:]
+    best = min(range(len(grid)), key=lambda place: left(float(grid[place])))
+    ends = grid[best - 1] if best else 0.0, grid[min(best + 1, len(grid) - 1)]
+    return float(minimize_scalar(left, bounds=ends, method="bounded", options={"xatol": 1e-6}).x)
+
+
+def _spread(likelihood: Likelihood, theta: Array, weights: Array) -> tuple[Fit, Array]:
     """Return the estimate with its covariance and the bias by noise in the regressor.
 
     Residuals have the covariance B C B^H; with an inverse A+ of A the estimate moves by -A+ times theirs.
     Where chi2 contradicts the stated noise, each line's own residuals take its place: a few loud lines rule
     an unweighted estimate (jackknife, doi:10.1016/0304-4076(85)90158-7).
     """
-    data, entries = likelihood.data, likelihood.at["entries"]
+    data, known = likelihood.data, slice(0, likelihood.at["law"].stop)
+    slopes = _real_rows((weights[:, None] * likelihood.slopes(theta, data.y[:, :, None]))[..., 0])
+    matrix = slopes[:, known]
     inverse = np.linalg.pinv(matrix, rcond=1e-12)
     half = inverse.shape[1] // 2
     whole = (inverse[:, :half] - 1j * inverse[:, half:]).reshape(len(inverse), data.count, -1)
@@ -87,12 +129,10 @@ def _spread(likelihood: Likelihood, theta: Array, matrix: Array, weights: Array)
         residuals = (operator @ data.y[:, :, None])[..., 0]
         own = _left_out_one_by_one(matrix, np.asarray(inverse), np.stack([residuals.real, residuals.imag]))
     shared = likelihood.at["shared"]
-    slopes = (weights[:, None] * likelihood.slopes(theta, data.y[:, :, None])[shared])[..., 0]
-    moved = slopes.reshape(len(data.sources), data.count * likelihood.n).T
-    gain = -inverse @ np.concatenate([moved.real, moved.imag])
+    gain = -inverse @ slopes[:, shared]
     covariance = np.zeros((likelihood.count, likelihood.count))
-    covariance[entries, entries] = own + gain @ gain.T
-    covariance[entries, shared], covariance[shared, entries] = gain, gain.T
+    covariance[known, known] = own + gain @ gain.T
+    covariance[known, shared], covariance[shared, known] = gain, gain.T
     covariance[shared, shared] = np.eye(len(data.sources))
     found = Fit(likelihood, theta, chi2, n_dof, 1, True, covariance, own)
     return found, _bias(likelihood, theta, matrix, weights)
@@ -117,20 +157,20 @@ def _left_out_one_by_one(matrix: Array, inverse: Array, residuals: Array) -> Arr
 def _bias(likelihood: Likelihood, theta: Array, matrix: Array, weights: Array, rounds: int = 6) -> Array:
     """Return what noise of the regressor does to K and D: -(A^T A)^-1 sum of Re tr(B C dB_k^H).
 
-    It is taken at the estimate without its bias, found in a few rounds.
+    It is taken at the estimate without its bias, found in a few rounds; the law is taken along.
     """
-    data, entries = likelihood.data, likelihood.at["entries"]
-    every = np.eye(data.y.shape[1], dtype=complex)[None]
+    data, known = likelihood.data, matrix.shape[1]
+    bare = Likelihood(data.without_errors(), likelihood.model)
+    every = np.eye(data.y.shape[1], dtype=complex)[None].repeat(data.count, 0)
     information = matrix.T @ matrix
-    bias = np.zeros(entries.stop)
+    bias = np.zeros(known)
     for _ in range(rounds):
-        point = theta.copy()
-        point[entries] -= bias
-        operator = weights[:, None] * likelihood.act(point, every)
-        slopes = weights[:, None] * likelihood.entry_slopes(point, every.repeat(data.count, 0))
+        point = theta[:known] - bias
+        operator = weights[:, None] * bare.act(point, every)
+        slopes = weights[:, None] * bare.slopes(point, every)
         pull = np.einsum("lij,ljk,plik->p", operator, data.covariance, slopes.conj(), optimize=True).real
         bias = -np.linalg.lstsq(information, pull, rcond=1e-13)[0]
-    return np.asarray(bias)
+    return np.asarray(bias[likelihood.at["entries"]])
 
 
 def _constrained(

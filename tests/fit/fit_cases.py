@@ -14,6 +14,7 @@ from fitting.dof2kd import MassSource, fit_of
 from fitting.options import KDOptions
 from fitting.planned_motion import BASE_POINTS_MM, STAPES_POINTS_MM, Layout, frame_maps
 from fitting.result import KDFit
+from fitting.unknowns import HEAD_M, point
 from simulate.ligament import (
     PAPER_DAMPING,
     PAPER_STIFFNESS,
@@ -123,7 +124,7 @@ def ring_ear(
 ):
     """Draw an ear with a ring as ligament, measured with wrong positions, registration, mass and noise.
 
-    ``cause`` is an error that is not known: delay (us), gain (%), fluid (mg), drift, step (%).
+    ``cause`` is an error that is not known: delay (us), gain (%), fluid, head_mass (mg), drift, step (%).
     """
     rng = np.random.default_rng(seed)
     parameters = six_parameters() * rng.uniform(0.85, 1.15)
@@ -131,7 +132,7 @@ def ring_ear(
     if cause in ("drift", "step"):
         ligament = replace(ligament, **{cause: 0.01 * size})
     mass = matrix_from_parameters(parameters)
-    moving = mass.copy()
+    moving = mass + (matrix_from_parameters(point(HEAD_M, 1e-6 * size)) if cause == "head_mass" else 0.0)
     freq, q = exact_motion(lines, band, 0.1, moving, ligament)
     omega = 2.0 * np.pi * freq
     if cause == "fluid":  # a mass on the piston deflection: solved again with it on the left

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fitting.data import data_of
-from fitting.evidence import log_odds
+from fitting.evidence import Score, _refit, log_odds
 from fitting.laws import LAWS
 from fitting.likelihood import Likelihood, Model
 from fitting.mass import inertia_of
@@ -79,6 +79,15 @@ def test_an_error_is_named_with_its_size(cause, size):
     if cause in UNKNOWNS:
         freed = fit(ear.motion, ear.mass, unknowns=cause)
         assert np.mean(np.abs(deviation(freed, ear.truth)) < 2.6) > 0.9
+
+
+def test_an_unknown_more_never_explains_less():
+    """From a score far off, as of a mass as large as the body, a refit must not end in a valley."""
+    ear = ring_ear(43, cause="head_mass", size=5.0, lines=40)
+    found = fit(ear.motion, ear.mass, unknowns="none").found
+    other = _refit(found, Score(UNKNOWNS["head_mass"], 40.0, 1.0, 0.0), explained=True)
+    assert other.found.chi2 < found.chi2
+    assert abs(other.value - 5.0) < 3.5 * other.sd
 
 
 def test_correct_ears_raise_no_alarm_and_intervals_hold():

@@ -162,3 +162,17 @@ def test_more_free_degrees_of_freedom(dof):
         )
     assert np.mean(np.abs(errors) < 1.96) > 0.88
     assert np.abs(errors).max() < 5.0
+
+
+@pytest.mark.parametrize("estimator", ["pinv", "constrained"])
+@pytest.mark.parametrize("law", ["hysteretic", "fractional"])
+def test_textbooks_find_the_damping_law(estimator, law):
+    motion, damping = paper_motion(0.005, 4, 100, law)
+    result = fit(motion, M, estimator=estimator, damping="compare")
+    assert result.law.name == law
+    stated = fit(motion, M, estimator=estimator, damping=law)
+    assert stated.values == pytest.approx(result.values, rel=1e-6)
+    if law == "fractional":
+        sd = np.sqrt(stated.found.covariance[12, 12])
+        assert abs(stated.law.value - 0.7) < 3.0 * sd + 0.005  # the bias that noise of the regressor brings
+    assert stated.damping[0, 0] == pytest.approx(damping[0, 0], abs=4.0 * stated.sd[6])

@@ -33,7 +33,13 @@ def test_reasons_are_by_weight_and_causes_come_before_what_they_make():
     assert [reason.code for reason in verdict.reasons] == [
         "cause_found", "frequency_dependent", "misfit", "weak_identifiability",
     ]  # fmt: skip
-    assert [reason.follows_from for reason in verdict.reasons] == ["", "cause_found", "cause_found", ""]
+    assert [reason.follows_from for reason in verdict.reasons] == [
+        "",
+        "cause_found",
+        "cause_found",
+        "cause_found",
+    ]
+    assert judge(listed, apart=["weak_identifiability"]).reasons[-1].follows_from == ""
     assert verdict.sentence == "do not use: cause_found"
     misread = judge([*listed, Notice("phase_convention", "")])
     assert misread.reasons[0].code == "phase_convention"
