@@ -18,7 +18,7 @@ from fitting.data import Data
 from fitting.laws import LAWS
 from fitting.likelihood import Likelihood
 from fitting.solve import Fit, bic, fit, minimise, start_of
-from fitting.unknowns import Parts, Unknown, candidates
+from fitting.unknowns import UNKNOWNS, Parts, Unknown, candidates
 from stapeskit.arrays import Array
 
 _SHORTLIST = 5  # refits of a search
@@ -121,8 +121,9 @@ def search(found: Fit, laws: bool = True) -> Search:
     laws : bool
         Whether other damping laws are among the causes: the law was stated and not compared.
     """
-    present = {unknown.name for unknown in found.likelihood.model.unknowns}
+    present = {unknown.name: unknown for unknown in found.likelihood.model.unknowns}
     table = [unknown for unknown in candidates(found.data) if unknown.name not in present]
+    table += [UNKNOWNS[name].beyond(own.held) for name, own in present.items() if own.held is not None]
     *scores, power, relaxing = screen(found, [*table, *_LAW_SCORES])
     listed = _of_families(scores)
     misfit = not found.explained

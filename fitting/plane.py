@@ -127,29 +127,39 @@ def _determined(
     its posterior, for a normal compliance as precise as at this stiffness. The sd of the other entries grows
     with the square of the stiffness, at most to that of the usual ratio.
     """
-    usual, scale, stiffnesses = _usual(found, "default"), entry_scale(found, found.data.columns), diagonal(3)
+    usual, scale = _usual(found, "default"), entry_scale(found, found.data.columns)
     count, usual_sd = len(scale), np.sqrt(np.diag(usual.covariance))
-    there, _ = likelihood.covariance(np.concatenate([usual.mean / scale, theta[count:]]))
     entries, sd = theta[:count] * scale, np.sqrt(np.maximum(np.diag(covariance)[:count], 1e-300)) * scale
+    there, _ = likelihood.covariance(np.concatenate([usual.mean / scale, theta[count:]]))
     beforehand = np.diag(weak.covariance)
     precision = [
         np.sqrt(np.maximum(1.0 / np.diag(spread)[:count] - 1.0 / beforehand, 0.0)) / scale * at**2
         for spread, at in ((covariance, entries), (there, usual.mean))
     ]
-    grown, own, told = np.ones(3), sd.copy(), np.ones(3, dtype=bool)
-    for number, place in enumerate(stiffnesses):
-        expected = float(usual.mean[place]), float(usual_sd[place])
-        seen = float(precision[0][place]), float(precision[1][place])
-        mean, after = _posterior_of_stiffness(float(entries[place]), seen, *expected)
+    places = diagonal(3)
+    means, after, told = _stiffnesses(
+        entries[places], np.transpose(precision)[places], usual.mean[places], usual_sd[places]
+    )
+    grown = np.maximum(np.hypot(means, after) / np.maximum(entries[places], sd[places]), 1.0)
+    widened = sd * np.tile(vector(np.outer(grown, grown)), 2)
+    widened = np.minimum(widened, np.maximum(usual_sd, sd))
+    entries[places], widened[places] = means, after
+    factor = scale * widened / sd
+    return InPlane(entries, covariance[:count, :count] * np.outer(factor, factor), told, p_value)
+
+
+def _stiffnesses(
+    fitted: Array, precisions: Array, usual: Array, usual_sd: Array
+) -> tuple[Array, Array, bool]:
+    """Return means and sd of the stiffnesses of x, z, beta, and whether the data tell those of x and z."""
+    means, sds, told = np.zeros(3), np.zeros(3), list[bool]()
+    for place in range(3):
+        expected = float(usual[place]), float(usual_sd[place])
+        near, far = precisions[place].tolist()
+        means[place], sds[place] = _posterior_of_stiffness(float(fitted[place]), (near, far), *expected)
         _, unseen = _posterior_of_stiffness(expected[0], (0.0, 0.0), *expected)
-        told[number] = after < _INFORMED * unseen
-        grown[number] = max(np.hypot(mean, after) / max(entries[place], sd[place]), 1.0)
-        entries[place], own[place] = mean, after
-    others = sd * np.tile(vector(np.outer(grown, grown)), 2)
-    others = np.minimum(others, np.maximum(usual_sd, sd))
-    factor = np.where(np.isin(np.arange(count), stiffnesses), own, others) / sd
-    joint = covariance[:count, :count] * np.outer(scale * factor, scale * factor)
-    return InPlane(entries, joint, bool(np.all(told[:2])), p_value)
+        told.append(bool(sds[place] < _INFORMED * unseen))
+    return means, sds, all(told[:2])
 
 
 def _posterior_of_stiffness(

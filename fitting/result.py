@@ -140,7 +140,8 @@ class KDFit(Result):
         """Further estimated unknowns, each with its value and sd in its unit."""
         at, found = self.found.at["extra"], self.found
         sds = np.sqrt(np.diag(found.covariance)[at]).tolist()
-        return list(zip(found.likelihood.model.extras, found.theta[at].tolist(), sds, strict=True))
+        every = zip(found.likelihood.model.extras, found.theta[at].tolist(), sds, strict=True)
+        return [(one, value + (one.held or 0.0), sd) for one, value, sd in every]
 
     @cached_property
     def _to_centre(self) -> Array:

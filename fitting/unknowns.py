@@ -64,6 +64,7 @@ class Unknown:
     # data -> what it multiplies K and D by a unit, (lines,), where it makes K and D change over the lines
     weights: Callable[[Data], Array] | None = None
     only: float | None = None  # the one value that it has where it is there
+    held: float | None = None  # the value that it is fixed at
 
     def fixed(self, value: float) -> Unknown:
         """Return the unknown fixed at a value, with a narrow prior for its remainder."""
@@ -71,7 +72,14 @@ class Unknown:
         def change(off: float, parts: Parts, data: Data) -> None:
             self.change(value + off, parts, data)
 
-        return replace(self, change=change, sd=1e-6 * self.sd, companions=(), positive=False, only=None)
+        free = replace(self, companions=(), positive=False, only=None)
+        return replace(free, change=change, held=value, sd=1e-6 * self.sd)
+
+    def beyond(self, value: float) -> Unknown:
+        """Return what the unknown may be beyond a value that it is fixed at."""
+        title = f"{self.title} beyond the {value:g} {self.unit}".rstrip() + " that it is fixed at"
+        free = replace(self, companions=(), positive=False, only=None)
+        return replace(free, title=title, starts=(), adopt=False)
 
 
 def _on_structure(factor: Callable[[float, Array], ComplexArray]) -> Change:

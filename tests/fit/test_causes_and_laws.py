@@ -81,6 +81,19 @@ def test_an_error_is_named_with_its_size(cause, size):
         assert np.mean(np.abs(deviation(freed, ear.truth)) < 2.6) > 0.9
 
 
+@pytest.mark.parametrize(("fixed", "value"), [("delay", 10.0), ("fluid", 2.0)])
+def test_a_wrong_fixed_value_is_named_with_what_it_is_off(fixed, value):
+    ear = ring_ear(12, lines=60)
+    wrong = fit(ear.motion, ear.mass, unknowns=f"{fixed}={value}")
+    assert wrong.search.best.name == fixed
+    assert abs(wrong.search.best.value + value) < 3.5 * wrong.search.best.sd
+    assert "cause_found" in codes(wrong)
+    (shown,) = [size for unknown, size, _ in wrong.unknowns if unknown.name == fixed]
+    assert shown == pytest.approx(value, rel=1e-3)
+    right = fit(ear.motion, ear.mass, unknowns=f"{fixed}=0")
+    assert right.search.best is None
+
+
 def test_an_unknown_more_never_explains_less():
     """From a score far off, as of a mass as large as the body, a refit must not end in a valley."""
     ear = ring_ear(43, cause="head_mass", size=5.0, lines=40)
