@@ -43,7 +43,8 @@ _OUTCOMES = (
 # its file says, everything; of one wrong reading or unknown, that the model does not hold.
 _CAUSES = {
     **dict.fromkeys(
-        ("bodies_exchanged", "phase_convention", "unit_slip", "other_mass_file"), (*_OUTCOMES, "cause_found")
+        ("bodies_exchanged", "phase_convention", "unit_slip", "other_mass_file"),
+        (*_OUTCOMES, "cause_found", "fluid_found", "inplane_assumed", "law_ambiguous"),
     ),
     **dict.fromkeys(
         (
@@ -54,6 +55,9 @@ _CAUSES = {
     ),
     "cause_found": (*_OF_MODEL, *_WEAK),
 }  # fmt: skip
+
+MISREAD = ("bodies_exchanged", "phase_convention", "unit_slip")
+"""Warnings that a motion is not what its file says: what the fit shows then says nothing more."""
 
 PISTON_RANGE = (120.0, 3200.0)
 """Published stiffness of the human annular ligament in piston direction, N/m (paper.md, 6, with a margin)."""
@@ -85,9 +89,10 @@ def verdict_of(fit: KDFit) -> Verdict:
 
 
 def result_notices(fit: KDFit) -> list[Notice]:
-    """Return every warning that a result deserves."""
+    """Return every warning that a result deserves; not what follows from a motion that is misread."""
+    misread = {code for notice in fit.notices if notice.code in MISREAD for code in _CAUSES[notice.code]}
     checks = (_model, _physics, _noise, _inputs, _plane, _weak, _plausibility)
-    return [notice for check in checks for notice in check(fit)]
+    return [notice for check in checks for notice in check(fit) if notice.code not in misread]
 
 
 def _relative_sds(fit: KDFit) -> dict[str, float]:
@@ -369,14 +374,15 @@ def judge(
     unused : sequence of str
         Codes, or their first words, that follow from what the study does not use.
     apart : sequence of str
-        Codes that follow from no cause among the warnings.
+        Codes that follow from no further unknown.
     """
     listed = list(dict.fromkeys(notices))
     checked = [notice.code for notice in listed if _is_among(notice.code, confirmed)]
     left = [notice for notice in listed if not _is_among(notice.code, (*confirmed, *unused))]
     codes = {notice.code for notice in left}
     cause = next((code for code in _CAUSES if code in codes), "")
-    found = [_reason(notice, codes, "" if notice.code in apart else cause) for notice in left]
+    alone = apart if cause == "cause_found" else ()
+    found = [_reason(notice, codes, "" if notice.code in alone else cause) for notice in left]
     reasons = [reason for reason in found if reason.level != BELIEVE]
     weights = [LEVELS.index(reason.level) for reason in reasons]
     made = max((weight for weight, one in zip(weights, reasons, strict=True) if one.follows_from), default=0)

@@ -5,17 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import chdtrc
 
 from fitting.data import Data
 from fitting.likelihood import LOAD, PLAIN, Likelihood, Model
 from fitting.options import COMPARE
-from fitting.solve import best_start, degrees, minimise
+from fitting.solve import MISFIT_P, best_start, degrees, minimise
 from stapeskit.spatial import DOF_NAMES
 from stapeskit.warnings import Notice
 
 # Chi2 per degree of freedom of K, D >= 0 without shared errors from which another reading is tried, and the
 # share of it below which that reading is reported: a right reading explains a hundred times more.
 _BAD, _BETTER = 4.0, 0.2
+_DECISIVE = 50.0  # fall of chi2 from which one of two readings is sure: odds e^25
 # Geometric mean of rotation times 1 mm over displacement of both bodies: up to 2.2 for ears and shakers in
 # radians (rocking at resonance 5, base rocking 1), in degrees 57 times as much of 0.15 or more.
 _DEGREES = 6.0
@@ -23,11 +25,13 @@ _DEGREES = 6.0
 
 def suspicions(data: Data, law: str) -> list[Notice]:
     """Return warnings about a motion that fits its equations only when it is read otherwise."""
-    notices = _degrees(data)
+    notices = _degrees_by_size(data)
     model = Model(law if law != COMPARE else "viscous", LOAD if data.loads_known else PLAIN)
     bare = data.without_errors()
     own = _level(bare, model)
-    if own < _BAD:
+    if not notices and own > 1.0:
+        notices = _degrees_by_fit(bare, model, own)
+    if notices or own < _BAD:
         return notices
     sign = np.repeat([1.0, -1.0], len(data.measured))
     order = np.roll(np.arange(len(sign)), len(data.measured))
@@ -71,7 +75,22 @@ def _level(data: Data, model: Model) -> float:
     return chi2 / max(degrees(likelihood), 1)
 
 
-def _degrees(data: Data) -> list[Notice]:
+def _degrees_by_fit(data: Data, model: Model, own: float) -> list[Notice]:
+    """Report rotations in degrees by the fit, which couples them to displacements."""
+    turned = np.array([name in DOF_NAMES[3:] for name in data.measured] * 2)
+    if np.all(turned) or not np.any(turned):
+        return []
+    scale = np.where(turned, np.radians(1.0), 1.0)
+    read = replace(data, y=data.y * scale, covariance=data.covariance * np.outer(scale, scale))
+    level, n_dof = _level(read, model), degrees(Likelihood(data, model))
+    explained = chdtrc(n_dof, n_dof * level) > MISFIT_P > chdtrc(n_dof, n_dof * own)
+    if not explained or n_dof * (own - level) < _DECISIVE:
+        return []
+    text = f"in radians the motion fits with chi2 per degree of freedom {level:.3g} instead of {own:.3g}"
+    return [Notice("unit_slip", f"Rotations look like degrees: {text}. Write them in radians.")]
+
+
+def _degrees_by_size(data: Data) -> list[Notice]:
     turned = np.array([name in DOF_NAMES[3:] for name in data.measured])
     if np.all(turned) or not np.any(turned):
         return []

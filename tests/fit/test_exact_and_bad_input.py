@@ -8,7 +8,7 @@ import pytest
 from fitting.mass import read_mass_csv
 from fitting.options import KDOptions
 from fitting.plan import read_plan
-from simulate.ligament import ring_ligament
+from simulate.ligament import ring_ligament, stapes_motion
 from stapeskit.faults import StapeskitError
 from stapeskit.records.mass_matrix import MassMatrix
 from tests.fit.fit_cases import (
@@ -127,6 +127,21 @@ def test_the_same_in_six_degrees_of_freedom(spoil, code):
     ear = ring_ear(1, lines=40)
     result = fit(replace(spoil(ear.motion), shared=None), ear.mass, estimator="pinv")
     assert result.verdict.reasons[0].code == code
+
+
+def test_degrees_of_an_ear_that_hardly_rocks_are_named_and_nothing_that_follows():
+    """Rotations times 1 mm are a hundredth of the displacements: in degrees they are of a usual size."""
+    freq, q = exact_motion(80)
+    base = q[0, 1] * np.array([1.0, 1.0, 1.0, 0.05, 0.05, 0.05])
+    exact = np.stack([stapes_motion(freq, base, full_mass(), ring_ligament()), base])
+    sd = 0.01 * np.abs(exact).mean(axis=(0, 1)) + 1e-3 * np.abs(base[:, 1]).mean() * np.repeat([1, 1e3], 3)
+    covariance = np.broadcast_to(np.diag(2.0 * sd**2).astype(complex), (1, 2, 80, 6, 6))
+    draws = np.random.default_rng(5).standard_normal((2, 2, 80, 6))
+    motion = record(freq, (exact + sd * (draws[0] + 1j * draws[1]))[None], covariance)
+    right, wrong = fit(motion, MASS), fit(in_degrees(motion), MASS)
+    assert "unit_slip" not in codes(right)
+    assert wrong.verdict.reasons[0].code == "unit_slip"
+    assert not codes(wrong) & {"cause_found", "misfit", "weak_identifiability"}
 
 
 def test_right_motion_of_many_ears_raises_no_suspicion():
