@@ -26,6 +26,7 @@ PLAIN, LOAD, PLANE, INPLANE = "plain", "load", "plane", "inplane"
 
 _STEP = 1e-5  # of central differences: B is linear or quadratic in most unknowns, all of order one
 _AT_ONCE = 2  # columns of noise whose derivatives are held at once
+_CHANCE = 4.0  # standard deviations by which chi2 is smaller where data hold less noise than stated
 _LEAST_INFORMATION = 0.05  # kept of directions that are nearly all noise of the regressor
 
 
@@ -306,7 +307,8 @@ class Likelihood:
 
         What the noise of the fitted motion adds to J^T J is spread, but no information (Pintelon and
         Schoukens 2012, section 9.11); of directions that are nearly all noise a twentieth of the information
-        is kept. Data with less noise than stated, to none in a plan, have added a share ``level`` of it.
+        is kept. Data with less noise than stated, to none in a plan, have added a share ``level`` of it; what
+        they lack is spread as well.
         """
         _, whitening, back, _ = self.look(theta)
         hessian = self.information(theta)
@@ -327,7 +329,9 @@ class Likelihood:
         half = (vectors / np.sqrt(values)) @ vectors.T / size[None, :]
         shares, turned = np.linalg.eigh(np.eye(len(size)) - level * half @ added @ half.T)
         inverse = half.T @ (turned / np.maximum(shares, _LEAST_INFORMATION)) @ turned.T @ half
-        return inverse @ (hessian + (1.0 - level) * added) @ inverse, inverse
+        by_chance = _CHANCE * np.sqrt(1.0 / (self.n * self.count))  # of chi2 over 2 n lines
+        lacking = 1.0 - level if 1.0 - level > by_chance else 0.0
+        return inverse @ (hessian + lacking * added) @ inverse, inverse
 
 
 def _real_rows(white: ComplexArray) -> Array:
