@@ -18,6 +18,7 @@ from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.records.rigid_motion import RigidMotion
 from stapeskit.report import page
+from stapeskit.report.colours import OTHER_COLOURS
 from stapeskit.report.quantities import plus_minus
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
     from stapeskit.report.page import Page
 
-_COLOURS = ("#0b6e99", "#b3541e")
+_COLOURS = OTHER_COLOURS[:2]  # of results: not those of stapes and base
 
 
 @dataclass(frozen=True)
@@ -152,9 +153,11 @@ def compare_page(comparison: Comparison) -> Page:
     verdicts = [(ear.name, ear.verdict or "not stated") for ear in comparison.ears]
     made.add(page.table(("result", "verdict"), verdicts, words=True))
     head = ("quantity", one.name, other.name, "difference", "p")
+    count = max(len(comparison.quantities), 1)
     words = (
-        "p of no difference, from the errors of each result alone: what both share (one stated density) "
-        "cancels. No correction is made for the number of rows."
+        "± is one standard deviation. p of no difference, from the errors of each result alone: what both "
+        f"share (one stated density) cancels. Of {count} rows one below {0.05 / count:.2g} is a finding "
+        "(5 %, Bonferroni)."
     )
     made.add(page.table(head, comparison.rows()), page.text(words))
     caption = "Piston motion of the stapes over that of the bone, as measured."

@@ -23,6 +23,7 @@ from fitting.laws import LAWS, Law
 from fitting.unknowns import point
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
+from stapeskit.report.colours import OTHER_COLOURS
 from stapeskit.spatial import dof_indices, matrix_from_parameters
 
 if TYPE_CHECKING:
@@ -37,7 +38,6 @@ SENTENCE = (
     "This is the piston of the stapes alone: in a whole ear, with incus, drum and cochlea, it does not hold "
     "above about 3 kHz."
 )
-_COLOURS = ("#0b6e99", "#b3541e", "#4d7a2b", "#6b4c9a")
 _FORMS = "K*FACTOR, D*FACTOR, or mass+MGmg@head (or @X,Y,Z in footplate axes, mm)"
 _DRAWS = 400  # from the joint covariance of K and D: limits of an interval to a tenth of its width
 _SHOWN_HZ = (500.0, 1000.0, 2000.0, 3000.0, 4000.0)
@@ -201,7 +201,7 @@ def what_if_figure(effects: Sequence[Effect]) -> Figure:
         drawing, grid = panels(1, 1, width=6.4, height=3.2)
         axes = grid[0, 0]
         for place, one in enumerate(effects):
-            colour = _COLOURS[place % len(_COLOURS)]
+            colour = OTHER_COLOURS[place % len(OTHER_COLOURS)]
             axes.plot(one.freq_hz, one.change_db, color=colour, label=one.name)
             axes.fill_between(one.freq_hz, one.low_db, one.high_db, color=colour, alpha=0.2, lw=0)
             frequency_axis(axes, one.freq_hz)

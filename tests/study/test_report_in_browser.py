@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,10 @@ from playwright import sync_api
 from ct_inertia.report.sections import mass_page
 from fitting.report.page import kd_page
 from kinematics.report.page import motion_page
+from pipeline.compare import compare, compare_page, read_folders
 from pipeline.report import study_page
 from pipeline.run import StudyResult
+from pipeline.what_if import effect, read_change, what_if_page
 from tests.app.driven import CHROMIUM
 
 pytestmark = [pytest.mark.browser, pytest.mark.filterwarnings("ignore")]
@@ -25,13 +28,17 @@ _GL = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
 
 @pytest.fixture(scope="module")
 def pages(finished: StudyResult, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("pages")
+    again = folder / "again"
+    shutil.copytree(finished.out, again)
     made = {
         "report": study_page(finished),
         "mass": mass_page(finished.mass, finished.pictured),
         "dof": motion_page(finished.moved),
         "kd": kd_page(finished.fit),
+        "compare": compare_page(compare(finished.out, again)),
+        "what_if": what_if_page([effect(read_folders([again])[0], again, read_change("K*10"))]),
     }
-    folder = tmp_path_factory.mktemp("pages")
     for name, one in made.items():
         one.write(folder / f"{name}.html")
     return {name: folder / f"{name}.html" for name in made}
@@ -59,7 +66,7 @@ def unfold(tab: Any) -> None:
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize("name", ["report", "mass", "dof", "kd"])
+@pytest.mark.parametrize("name", ["report", "mass", "dof", "kd", "compare", "what_if"])
 def test_nothing_is_cut_and_axe_core_finds_nothing(
     tab: Any, pages: dict[str, Path], name: str, width: int
 ) -> None:
