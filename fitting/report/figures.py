@@ -161,7 +161,7 @@ def footplate_figure(fit: KDFit) -> Figure | None:
     axes_of_k, outline, rim = fit.derived.axes, fit.outline_mm, rim_of(fit)
     if outline is None or (axes_of_k is None and rim is None):
         return None
-    drawing, grid = panels(1, 1, width=4.4, height=2.45, margins=(0.58, 0.06, 0.06, 0.42))
+    drawing, grid = panels(1, 1, width=4.4, height=2.45, margins=(0.58, 0.16, 0.06, 0.42))
     axes = grid[0, 0]
     if rim is None:
         axes.plot(*np.vstack([outline, outline[:1]]).T, color=BODY_COLOURS["stapes"], lw=1.2)
