@@ -133,7 +133,7 @@ class Round:
             level = max(chi2 / freedom, self.noise.level)
             return -0.5 * float(freedom * np.log(level) + chi2 / level)
 
-        gained = log_likelihood(whole - fall) - log_likelihood(whole)
+        gained = log_likelihood(max(whole - fall, 0.0)) - log_likelihood(whole)
         return gained - 0.5 * count * float(np.log(self.packed.values))
 
     def clean(self) -> bool:

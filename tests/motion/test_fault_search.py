@@ -252,3 +252,10 @@ def test_sd_of_few_digits_make_no_channel_loud_and_no_body_flexible(digits, line
     assert verdicts(diagnosed(faulty)[2]) == dict(faulty.culprits)
     faulty = rounded(recorded(4, faults=[{"kind": "gain"}], **given), digits)
     assert verdicts(diagnosed(faulty)[2]) == dict(faulty.culprits)
+
+
+def test_no_fault_explains_more_than_there_is():
+    """Else a reversed point, loud in all its beams, is called noise: its squares there exceed the misfit."""
+    first = diagnosed(recorded(1, points=10, faults=[{"kind": "point_sign"}]))[2].first
+    whole = first.estimate.chi2 + first.state.noise_energy[0].sum()
+    assert first.evidence(2.0 * whole, 1) <= first.evidence(whole, 1)
