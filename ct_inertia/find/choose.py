@@ -124,7 +124,9 @@ def choose(scan: Scan, overview: Overview, search: Search) -> tuple[Candidate, t
     if seed_mm is None:
         _refuse_rivals(ranked)
     check_not_open(ranked[0].body, seed_mm is not None)
-    return ranked[0], unusual_notice(ranked[0].body)
+    body = ranked[0].body
+    answered = seed_mm is not None and body.possible  # the seed has named this body
+    return ranked[0], () if answered else unusual_notice(body)
 
 
 def _own_bone(overview: Overview, piece: Piece) -> float | None:

@@ -59,8 +59,23 @@ Amount = tuple[str, Grey, Spread]
 """Source, a share of bone that may be wrong by its own size, and how it errs."""
 
 
-def amounts_of(parts: StapesParts, misfit: bool, unstated: Grey | None, bend: float) -> Iterator[Amount]:
-    """Yield every uncertain amount of bone; ``misfit``: whether the scene's residual is significant."""
+def amounts_of(
+    parts: StapesParts, misfit: bool, unstated: Grey | None, bend: float, gain: Grey | None
+) -> Iterator[Amount]:
+    """Yield every uncertain amount of bone.
+
+    Parameters
+    ----------
+    parts : StapesParts
+    misfit : bool
+        Whether the scene's residual is significant.
+    unstated : ndarray of float32, [z, y, x], or None
+        What a coat that nobody stated would take off.
+    bend : float
+        Of the grey scale.
+    gain : ndarray of float32, [z, y, x], or None
+        By how much the level of bone departs from its mean.
+    """
     fit, media, contrast = parts.fit, parts.fit.media, parts.level.contrast
     bone_sd = float(np.hypot(parts.level.sd, 0.0 if fit.storing is None else fit.storing.bone_sd))
     yield "levels", parts.where_own((1.0 - parts.excess) * np.float32(fit.start.air_sd / contrast)), common
@@ -84,6 +99,8 @@ def amounts_of(parts: StapesParts, misfit: bool, unstated: Grey | None, bend: fl
         yield "voids", media.void_share * np.float32(media.void_sd / contrast), common
     if misfit:
         yield "misfit", parts.where_own(parts.residual), common
+    if gain is not None:
+        yield "grey_scale", parts.where_own(gain * fit.shares["stapes"]), common
     if bend:
         share = fit.shares["stapes"]
         yield "grey_scale", parts.where_own(np.float32(bend) * share * (1.0 - share)), common
@@ -150,5 +167,5 @@ def with_sources(
     for source, amount, spread in amounts:
         moments = moments.with_source(source, spread(amount, parts.transform, moments))
         if source in _AROUND:
-            around = np.abs(amount) if around is None else np.hypot(around, amount)
+            around = amount if around is None else np.hypot(around, amount)
     return moments, around

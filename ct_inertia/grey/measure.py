@@ -13,7 +13,7 @@ from ct_inertia.grey.border import border_contacts, border_covariance, border_no
 from ct_inertia.grey.budget import amounts_of, grey_scale_bend, unstated_coat, with_sources
 from ct_inertia.grey.frame_surface import body_surface
 from ct_inertia.grey.media import Coat, Media, coat_notice, media_notices, usual_coat
-from ct_inertia.grey.misfit import misfit_notice, misfits
+from ct_inertia.grey.misfit import gain_over_body, misfit_notice, misfits
 from ct_inertia.grey.moments import effect, partial_volume_moments
 from ct_inertia.grey.parts import StapesParts
 from ct_inertia.grey.plate_plane import plate_surface
@@ -56,8 +56,8 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
     # A coat leaves grey values beyond the edge of the bone: only then is it worth a second fit.
     brighter = any(one.place == "collar" and one.share > 0.0 for one in left)
     unstated = unstated_coat(parts, moments) if odd and brighter and coat is None else None
-    bend = grey_scale_bend(fit)
-    moments, around = with_sources(moments, parts, amounts_of(parts, odd, unstated, bend))
+    bend, gain = grey_scale_bend(fit), gain_over_body(fit, parts.residual, parts.level.contrast)
+    moments, around = with_sources(moments, parts, amounts_of(parts, odd, unstated, bend, gain))
     through = bone_border(labelled, begin, parts.own, (begin.air, begin.air + parts.level.contrast), moments)
     if through.covariance.any():
         moments = moments.with_source("separation", through.covariance)
@@ -76,7 +76,7 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
     notices = [*labelled.notices, *([] if storing is None else storing.notices())]
     notices += [*through.notices(moments.volume_mm3), *([border_notice(contacts)] if contacts else [])]
     notices += media_notices(fit, share(parts.soft), share(fit.media.void_share))
-    notices += misfit_notice(left, share(unstated), bend)
+    notices += misfit_notice(left, share(unstated), bend, gain)
     notices += [coat_notice(share(usual_coat(fit)))] if coat is None else []
     return MeasuredBody(
         labelled=labelled,

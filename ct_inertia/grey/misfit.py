@@ -14,12 +14,16 @@ from ct_inertia.bodies import Grey, Mask, Moments
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.cells import by_cells, mean_by_cells
 from ct_inertia.grey.scene import SceneFit
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
 _CELL_VOXELS = 8
 _LEAST_VOXELS, _LEAST_CELL = 100, 12
 _LEAST_SHARE = calibrated("misfit.least_share")
 _MIN_Z, _MIN_CHI2 = 7.0, 35.0
+_DEEP = 0.9  # share of bone from which a voxel shows its level
+_TERMS = 10  # of a polynomial of second order in space
+_LEAST_GAIN = 5e-3  # of the level of bone: less moves volume and frame by less than noise does
 PLACES = {
     "void": "in the closed hollows of the stapes",
     "collar": "next to the stapes, outside of its edge",
@@ -94,15 +98,83 @@ def misfits(fit: SceneFit, residual: Grey, voxel_mm3: float, moments: Moments) -
     return found
 
 
-def misfit_notice(found: list[PlaceMisfit], coat: float = 0.0, bend: float = 0.0) -> list[Notice]:
+def gain_over_body(fit: SceneFit, residual: Grey, contrast: float) -> Grey | None:
+    """Return how the level of bone departs from the one used, place by place; None where it is even.
+
+    Parameters
+    ----------
+    fit : SceneFit
+    residual : ndarray of float32, [z, y, x]
+        In units of the stapes' contrast.
+    contrast : float
+        Level of bone that is used.
+
+    Returns
+    -------
+    ndarray of float32, [z, y, x], or None
+        Share of bone, no larger than where bone shows it.
+
+    Notes
+    -----
+    Least squares of a polynomial of second order, as cupping leaves one, to the means over cells deep inside.
+    It counts where it explains more than noise and the scatter about it would, and more than 0.5 %.
+    """
+    deep = fit.own & fit.start.near & (fit.shares["stapes"] > np.float32(_DEEP))
+    index = np.argwhere(deep)
+    if len(index) < _LEAST_VOXELS:
+        return None
+    spacing = fit.start.spacing
+    places = [along * edge for along, edge in zip(index.T, spacing, strict=True)]
+    size, total = by_cells(residual[deep], index, _CELL_VOXELS)
+    centres = np.stack([by_cells(place, index, _CELL_VOXELS)[1] for place in places])
+    full = size >= _LEAST_CELL
+    size, means, centres = size[full], total[full] / size[full], centres[:, full] / size[full]
+    if len(size) < 3 * _TERMS:
+        return None
+    middle = np.average(centres, axis=1, weights=size)
+    rows = _quadratic(centres - middle[:, None])
+    weight = np.sqrt(size)
+    factors = np.linalg.lstsq((rows * weight).T, means * weight, rcond=1e-6)[0]
+    fitted = rows.T @ factors
+    mean = float(np.average(means, weights=size))
+    noise = (fit.start.noise / fit.contrasts["stapes"]) ** 2 * fit.start.correlation
+    scatter = float(size @ (means - fitted) ** 2) / (len(size) - _TERMS)
+    explained = float(size @ (fitted - mean) ** 2) / max(noise, scatter, 1e-12)
+    if (
+        explained < _TERMS + _MIN_Z**2
+        or np.sqrt(np.average((fitted - mean) ** 2, weights=size)) < _LEAST_GAIN
+    ):
+        return None
+    z, y, x = np.ogrid[tuple(slice(n) for n in residual.shape)]
+    grid = [axis * edge - at for axis, edge, at in zip((z, y, x), spacing, middle, strict=True)]
+    gain = sum(factor * term for factor, term in zip(factors, _quadratic_terms(*grid), strict=True))
+    gain = np.clip(gain, float(fitted.min()), float(fitted.max()))
+    return (gain + (fit.contrasts["stapes"] / contrast - 1.0)).astype(np.float32)
+
+
+def _quadratic_terms(z: Array, y: Array, x: Array) -> tuple[Array | float, ...]:
+    return 1.0, z, y, x, z * z, y * y, x * x, z * y, y * x, z * x
+
+
+def _quadratic(points: Array) -> Array:
+    """Return the terms (10, n) of a polynomial of second order at points (3, n)."""
+    return np.stack([np.broadcast_to(term, points.shape[1]) for term in _quadratic_terms(*points)])
+
+
+def misfit_notice(
+    found: list[PlaceMisfit], coat: float = 0.0, bend: float = 0.0, gain: Grey | None = None
+) -> list[Notice]:
     """Return one warning for all significant residuals.
 
     ``coat``: what a soft coat that nobody stated would take off, as a share of the volume, where it fits;
-    ``bend``: of the grey scale, by its noise.
+    ``bend``: of the grey scale, by its noise; ``gain``: departure of the level of bone, place by place.
     """
     standing = [str(one) for one in found if one.stands_out]
     if bend:
         standing.append(f"a noise in air that is {(1.0 + bend) / (1.0 - bend):.2f} times that in bone")
+    if gain is not None:
+        width = 100.0 * float(gain.max() - gain.min())
+        standing.append(f"a level of bone that differs by {width:.1f} % from place to place")
     if not standing:
         return []
     text = (

@@ -193,6 +193,20 @@ def test_a_bent_grey_scale_is_in_the_budget():
     assert found.moments.volume_sd_mm3 < 2.0 * off
 
 
+@pytest.mark.parametrize("bend", [0.0, -0.08])
+def test_a_level_that_differs_over_the_body_is_named_and_in_the_budget(bend):
+    """Cupping: the level of bone rises along x and falls to both ends."""
+    ball = Ball(noise=0.02)
+    away = (grid_points(ball.shape, ball.spacing) - ball.centre) / ball.radius
+    gain = 1.0 + 0.04 * away[..., 0] + bend * away[..., 1] ** 2
+    found = measured(ball, ball.share() * gain)
+    assert "grey_values_misfit" in {notice.code for notice in found.notices}
+    assert abs(found.moments.volume_mm3 - ball.volume) < 4.0 * found.moments.volume_sd_mm3
+    centre_sd = np.sqrt(np.diag(found.moments.covariance)[1:4])
+    assert np.all(np.abs(found.moments.centroid_mm - ball.centre) < 4.0 * centre_sd)
+    assert found.surface.one_sd is not None
+
+
 @pytest.mark.parametrize("name", ["jump", "motion", "rings"])
 def test_what_moves_or_rings_keeps_its_volume_or_is_named(name):
     ball = Ball(noise=0.01)
