@@ -97,6 +97,11 @@ CONDITIONS = {
         lambda r: {"soft": r.uniform(0.15, 0.4)},
         codes=("soft_surroundings",),
     ),
+    "fluid as bright as its plate": Condition(
+        lambda r: {**window(r), "plate": True, "fluid_depth_mm": float(r.uniform(0.15, 0.3))},
+        lambda _: {"soft": 0.32},
+        codes=("soft_surroundings",),
+    ),
     "mucosa of 35 um": Condition(
         lambda _: {"coat_mm": 0.035},
         lambda _: {"soft": 0.15},

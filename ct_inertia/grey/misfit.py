@@ -81,6 +81,8 @@ def misfits(fit: SceneFit, residual: Grey, voxel_mm3: float, moments: Moments) -
     noise = fit.start.noise / fit.contrasts["stapes"]
     # A body whose surface follows noise is larger than it is seen by about the square of the noise.
     least = max(_LEAST_SHARE, 2.0 * noise**2 * min(0.1 * fit.start.correlation, 1.0))
+    # Voxels sample a Gaussian edge of width s voxels with aliases of 2 exp(-2 pi^2 s^2) on either side of it.
+    least += 4.0 * float(np.exp(-2.0 * np.pi**2 * np.min(fit.widths_mm / fit.start.spacing) ** 2))
     for place, where in _places(fit).items():
         count = int(np.count_nonzero(where))
         if count < _LEAST_VOXELS:

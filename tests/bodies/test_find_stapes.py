@@ -61,6 +61,16 @@ def test_a_stapes_on_a_plate_or_sunk_into_it_is_measured_as_one_in_air(gap_mm):
     assert turned > np.cos(4e-3)
 
 
+def test_a_seed_answers_that_an_unusual_body_is_the_stapes():
+    scan, _ = ear(40.0, stapes=Stapes(scale=1.45), **ALONE)
+    doubted = find_stapes(scan)
+    assert "stapes_uncertain" in {notice.code for notice in doubted.notices}
+    index = np.argwhere(doubted.stapes)[:, ::-1]
+    seed = doubted.box.scan_points(index[len(index) // 2][None])[0]
+    named = find_stapes(scan, Search(seed_mm=seed))
+    assert "stapes_uncertain" not in {notice.code for notice in named.notices}
+
+
 @pytest.mark.parametrize("factor", [0.7, 1.5])
 def test_bone_of_another_density_around_does_not_shift_the_surface(factor):
     """The brightest material of the scan is not the stapes: its surface is half way up to its own bone."""
