@@ -176,7 +176,10 @@ def misfit_notice(
         standing.append(f"a noise in air that is {(1.0 + bend) / (1.0 - bend):.2f} times that in bone")
     if gain is not None:
         width = 100.0 * float(gain.max() - gain.min())
-        standing.append(f"a level of bone that differs by {width:.1f} % from place to place")
+        standing.append(
+            f"a level of bone that differs by {width:.1f} % from place to place (cupping or denser bone: "
+            "the moments are weighted by grey values, which is right for the latter)"
+        )
     if not standing:
         return []
     text = (
