@@ -264,9 +264,39 @@ def _by_grey_values(box: Box, local: Drawn, plastic: Mask, middle: float) -> tup
     step = float(box.spacing_mm.max())
     near = capped_distance(drawn, box.spacing_mm, (_DRAWN_VOXELS + 1.0) * step) <= _DRAWN_VOXELS * step
     other = bone & ~drawn & (~near | (local == OTHER_BONE))
+    other |= _goes_on(box, drawn, bone, bone & ~drawn & ~other, other)
     markers = (drawn & bone).astype(np.int32) + 2 * other.astype(np.int32)
     parts = flood(-box.grey, markers, bone, smoothing=0.7)
     return parts == 1, parts == 2
+
+
+def _goes_on(box: Box, drawn: Mask, bone: Mask, beside: Mask, other: Mask) -> Mask:
+    """Return the voxels next to the labelled stapes that belong to bone reaching on to other bone.
+
+    From the nearest drawn voxel through the voxel and on to four voxels away there is bone, and none of the
+    drawn stapes; and such voxels lead to other bone, which a rough surface seen along itself does not.
+    """
+    from scipy.ndimage import binary_erosion, binary_propagation
+    from scipy.spatial import cKDTree
+
+    result = np.zeros_like(beside)
+    voxels = np.argwhere(beside)
+    if not len(voxels):
+        return result
+    spacing = box.spacing_mm[::-1]
+    step = float(spacing.max())
+    border = np.argwhere(drawn & ~binary_erosion(drawn))
+    distance, nearest = cKDTree(border * spacing).query(voxels * spacing)
+    start = border[nearest] * spacing
+    along = (voxels * spacing - start) / distance[:, None]
+    last = np.array(drawn.shape) - 1
+    on = np.ones(len(voxels), dtype=bool)
+    for reach in np.arange(1.0, _DRAWN_VOXELS + 1.5, 0.5) * step:
+        place = np.clip(np.rint((start + reach * along) / spacing), 0, last).astype(np.int64)
+        at = tuple(place.T)
+        on &= (bone[at] & ~drawn[at]) | (reach < distance)
+    result[tuple(voxels[on].T)] = True
+    return np.asarray(binary_propagation(other, mask=other | result)) & result
 
 
 def _bodies(stapes: Mask, other: Mask, local: Drawn) -> NDArray[np.uint8]:
