@@ -157,6 +157,15 @@ def _motion_sd(motion: RigidMotion) -> Array:
     return np.asarray(np.nanmedian(np.sqrt(variance), axis=(0, 1)) / size)
 
 
+def least_motion_sd(outcome: Outcome) -> Array:
+    """Return what the true noise leaves to the motion, as `Outcome.stated` has it (Gauss-Markov).
+
+    Where a file states no noise, an estimate of it scatters; a bar below this would ask for a sd too small.
+    """
+    assert outcome.truth.recording is not None
+    return _motion_sd(motion_of(outcome.truth.recording))
+
+
 def worst_parameter(outcome: Outcome) -> float:
     """Return the largest difference of an inertial parameter from the truth, in its standard deviation."""
     assert outcome.mass is not None
