@@ -34,6 +34,7 @@ _CHAIN = ("stapeskit", "ct_inertia", "kinematics", "fitting", "pipeline")  # roo
 # over the band as well, the one pair of matrices is wrong, and widening does not cover that.
 _TOGETHER = (("misfit", "frequency_dependent"), ("flexible", "frequency_dependent"))
 _OF_MODEL, _WEAK = ("frequency_dependent", "misfit"), ("weak_identifiability", "undetermined")
+_OF_RESULT = {"not_passive", "unstable"}
 # What a wrong input makes; its cause is listed before it.
 _OUTCOMES = (
     *_OF_MODEL, "implausible_stiffness", "constraint_active", "not_passive", "unstable", "not_converged",
@@ -55,6 +56,7 @@ _CAUSES = {
     ),
     "cause_found": (*_OF_MODEL, *_WEAK),
 }  # fmt: skip
+_CORRECTED = "corrected"  # what was wrong with single channels is out of the motion
 
 MISREAD = ("bodies_exchanged", "phase_convention", "unit_slip")
 """Warnings that a motion is not what its file says: what the fit shows then says nothing more."""
@@ -85,12 +87,20 @@ def verdict_of(fit: KDFit) -> Verdict:
     worst = entries.diagonals(len(fit.dof))[int(np.argmax(list(relative.values())))]
     by_itself = np.sum(fit.model_error[worst] ** 2) < 0.5 * fit.covariance[worst, worst]
     given = [*fit.notices, *([notice] if lost else [])]
-    return judge(given, fit.confirmed, unused, _WEAK if by_itself else ())
+    best = fit.search.best
+    unexplained = best is not None and not best.found.explained
+    apart = (*(_WEAK if by_itself else ()), *(_OF_MODEL if unexplained else ()))
+    return judge(given, fit.confirmed, unused, apart)
 
 
 def result_notices(fit: KDFit) -> list[Notice]:
-    """Return every warning that a result deserves; not what follows from a motion that is misread."""
-    misread = {code for notice in fit.notices if notice.code in MISREAD for code in _CAUSES[notice.code]}
+    """Return every warning that a result deserves.
+
+    What follows from a motion that is misread is left out, but for properties of K and D, and unless the user
+    confirms the motion.
+    """
+    codes = {notice.code for notice in fit.notices if not _is_among(notice.code, fit.confirmed)}
+    misread = {follows for code in codes.intersection(MISREAD) for follows in _CAUSES[code]} - _OF_RESULT
     checks = (_model, _physics, _noise, _inputs, _plane, _weak, _plausibility)
     return [notice for check in checks for notice in check(fit) if notice.code not in misread]
 
@@ -380,7 +390,10 @@ def judge(
     checked = [notice.code for notice in listed if _is_among(notice.code, confirmed)]
     left = [notice for notice in listed if not _is_among(notice.code, (*confirmed, *unused))]
     codes = {notice.code for notice in left}
-    cause = next((code for code in _CAUSES if code in codes), "")
+    causes = [code for code in _CAUSES if code in codes]
+    if _CORRECTED in codes:
+        causes = [code for code in causes if not code.startswith("channel_")]
+    cause = next(iter(causes), "")
     alone = apart if cause == "cause_found" else ()
     found = [_reason(notice, codes, "" if notice.code in alone else cause) for notice in left]
     reasons = [reason for reason in found if reason.level != BELIEVE]

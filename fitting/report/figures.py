@@ -157,23 +157,28 @@ def residual_figure(fit: KDFit) -> Figure:
 
 @style()
 def footplate_figure(fit: KDFit) -> Figure | None:
-    """Draw the footplate with the stiffness along its rim and the principal axes of K (paper, Fig. 6)."""
+    """Draw the footplate with the stiffness along its rim and the principal axes of K (paper, Fig. 6).
+
+    Of a mass without a scan the axes stand alone, about the footplate centre.
+    """
     axes_of_k, outline, rim = fit.derived.axes, fit.outline_mm, rim_of(fit)
-    if outline is None or (axes_of_k is None and rim is None):
+    if axes_of_k is None and rim is None:
         return None
     drawing, grid = panels(1, 1, width=4.4, height=2.45, margins=(0.58, 0.16, 0.06, 0.42))
     axes = grid[0, 0]
-    if rim is None:
-        axes.plot(*np.vstack([outline, outline[:1]]).T, color=BODY_COLOURS["stapes"], lw=1.2)
-    else:
+    shown = [np.zeros((1, 2))] if outline is None else [outline]
+    if rim is not None:
         _rim(axes, rim)
+    elif outline is not None:
+        axes.plot(*np.vstack([outline, outline[:1]]).T, color=BODY_COLOURS["stapes"], lw=1.2)
     if axes_of_k is not None:
         origin, angle = 1e3 * axes_of_k[:2], axes_of_k[2]
         for turn in (angle, angle + 0.5 * np.pi):
             ends = origin + np.outer([-0.45, 0.45], [np.cos(turn), -np.sin(turn)])
             axes.plot(*ends.T, color=FITTED, lw=1.3)
+            shown += [ends] if outline is None else []
     axes.plot(0.0, 0.0, "+", color=MEASURED, ms=8)
-    low, high = outline.min(axis=0), outline.max(axis=0)
+    low, high = np.min(np.concatenate(shown), axis=0), np.max(np.concatenate(shown), axis=0)
     x, z = 0.5 * (low + high)
     up, down = {"left": ("superior", "inferior"), "right": ("inferior", "superior")}.get(
         fit.side, ("+z", "-z")

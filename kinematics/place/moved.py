@@ -30,7 +30,7 @@ _CURED = 0.3  # share of the distance that other axes or units may leave
 _LEAST_POINTS = 3
 _REACH_MM = 8.0  # a stapes is about 3.5 mm high and 3 mm long
 _LEAST_EXTENT_MM = 0.2  # of points that may show their axes or unit: a smaller cloud lies on any surface
-_EXTENT_MM = (0.01, 300.0)  # of the points of a body: its 3 mm look like 3 um when given in metres
+_EXTENT_MM = (0.03, 300.0)  # of the points of a body, from a laser spot on: metres make 20 mm look like 20 um
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def check_surfaces(
 
 
 def check_extent(measurement: Measurement) -> None:
-    """Refuse points of a body within 10 um, or far apart: their coordinates are in another unit.
+    """Refuse points of a body within 30 um, or far apart: their coordinates are in another unit.
 
     Raises
     ------

@@ -180,7 +180,8 @@ class Variables:
         """Read every beam at every point; all faults of the variables together."""
         freq = self.numbers(self.name("frequency")).reshape(-1).astype(float)
         described = [one for name in _DESCRIPTIONS if isinstance(one := self.held.get(name), Mapping)]
-        unit = next((str(one["XUnit"]).strip() for one in described if "XUnit" in one), "") or "Hz"
+        stated = (str(one["XUnit"]).strip() for one in described if np.size(one.get("XUnit", [])))
+        unit = next(filter(None, stated), "Hz")
         if unit.lower() not in HERTZ:
             self.refuse("the unit of the frequencies (XUnit)", "Hz, kHz or MHz", unit)
         freq = freq * HERTZ[unit.lower()]

@@ -10,7 +10,7 @@ LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12
 STANDARD_GRAVITY = 9.80665
 """m/s2, by definition (3rd CGPM, 1901)."""
 
-HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6}
+HERTZ = {"hz": 1.0, "hertz": 1.0, "khz": 1e3, "mhz": 1e6}
 PHASES = {
     **dict.fromkeys(("deg", "degree", "degrees", "grad", "°", "\ufffd"), math.pi / 180.0),  # grad: German
     **dict.fromkeys(("rad", "radian", "radians"), 1.0),
@@ -25,7 +25,9 @@ _PER_SECOND = re.compile(r"[*.]?s-([12])(?!\d)")  # as in m s-1
 _AMPLITUDE = re.compile(  # alone or in brackets; peak to peak is none of them
     r"[\s_]*[\s_(\[]\s*((?:0-?)?(?:pk|peak)|0-p|(rms|eff))(?:\s*[)\]]|(?![\w-]))", re.IGNORECASE
 )
-_REFERENCE = re.compile(r"[pnumkM]?(?:N|V|Pa|A|W|bar|g|m(?:/s2?)?)|lbf|EU|(?:in|ft)(?:/s2?)?")
+_REFERENCE = re.compile(
+    r"[pnumkM]?(?:N|V|Pa|A|W|bar|g|m(?:/s2?)?)|[Nn]ewtons?|[Vv]olts?|[Pp]ascals?|lbf|EU|(?:in|ft)(?:/s2?)?"
+)
 
 
 @dataclass(frozen=True)

@@ -181,9 +181,9 @@ def ring_ear(
     )
 
 
-def fit(motion, mass, **options) -> KDFit:
+def fit(motion, mass, confirmed=(), **options) -> KDFit:
     """Fit as every command does."""
-    return fit_of(motion, MassSource(mass), KDOptions.of(**options), {})
+    return fit_of(motion, MassSource(mass), KDOptions.of(**options), {}, confirmed=confirmed)
 
 
 def deviation(result, truth=TRUTH):

@@ -11,6 +11,7 @@ from fitting.plan import read_plan
 from simulate.ligament import ring_ligament, stapes_motion
 from stapeskit.faults import StapeskitError
 from stapeskit.records.mass_matrix import MassMatrix
+from stapeskit.warnings import Notice
 from tests.fit.fit_cases import (
     DOF,
     ROWS,
@@ -142,6 +143,28 @@ def test_degrees_of_an_ear_that_hardly_rocks_are_named_and_nothing_that_follows(
     assert "unit_slip" not in codes(right)
     assert wrong.verdict.reasons[0].code == "unit_slip"
     assert not codes(wrong) & {"cause_found", "misfit", "weak_identifiability"}
+
+
+def test_what_a_motion_may_be_hides_nothing_once_it_is_confirmed():
+    """Velocities of an unusual size change no K and D; who has checked them must see a misfit."""
+    motion, _ = paper_motion(0.02, 1)
+    quiet = replace(
+        motion,
+        covariance=motion.covariance / 25.0,
+        notices=(Notice("unit_slip", "the velocities look like another unit"),),
+    )
+    found = fit(quiet, M, confirmed=["unit_slip"])
+    assert not found.found.explained
+    assert "misfit" in codes(found)
+    assert found.verdict.level != "believe"
+
+
+@pytest.mark.parametrize("spoil", [conjugated, reversed_base])
+def test_an_unstable_result_is_called_so_beside_its_cause(spoil):
+    motion, _ = paper_motion(0.02, 1)
+    result = fit(spoil(motion), M)
+    assert ("unstable" in codes(result)) is not result.modes.stable
+    assert ("not_passive" in codes(result)) is not all(result.passive)
 
 
 def test_right_motion_of_many_ears_raises_no_suspicion():

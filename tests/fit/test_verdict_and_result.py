@@ -11,7 +11,7 @@ from fitting.checks import judge, unused_codes
 from fitting.montecarlo import scatter
 from fitting.plan import Plan, expect, stated_mass
 from fitting.planned_motion import planned_motion
-from fitting.report.figures import responses
+from fitting.report.figures import footplate_figure, responses
 from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.spatial import matrix_from_parameters
 from stapeskit.warnings import VERDICTS, Notice, table
@@ -46,6 +46,10 @@ def test_reasons_are_by_weight_and_causes_come_before_what_they_make():
     assert all(reason.follows_from == "phase_convention" for reason in misread.reasons[1:])
     nothing = judge([notice for notice in listed if notice.code != "cause_found"])
     assert nothing.sentence == "do not use: frequency_dependent, misfit"
+    channel = judge([Notice("misfit", ""), Notice("channel_sign", "")])
+    assert [reason.follows_from for reason in channel.reasons] == ["", "channel_sign"]
+    corrected = judge([Notice("misfit", ""), Notice("channel_sign", ""), Notice("corrected", "")])
+    assert not any(reason.follows_from for reason in corrected.reasons)
     alone = judge([Notice("misfit", ""), Notice("cause_found", "")])
     assert alone.level == "check"
     assert [reason.code for reason in alone.reasons] == ["cause_found", "misfit"]
@@ -225,3 +229,12 @@ def test_standard_deviations_of_modes_are_those_of_draws_of_k_and_d(ear):
     frequencies = np.sort(np.where(values.imag > 0.0, values.imag, np.inf), axis=1)[:, :3] / (2.0 * np.pi)
     found = 0.7413 * np.subtract(*np.percentile(frequencies, [75, 25], axis=0))
     assert result.derived.frequency_sd_hz == pytest.approx(found, rel=0.07)
+
+
+def test_principal_axes_are_drawn_with_and_without_an_outline(ear):
+    """The mass matrix of a CSV file knows no footplate (paper, Fig. 6)."""
+    result = ear[1]
+    outline = np.array([[-1.4, -0.6], [1.4, -0.6], [1.4, 0.6], [-1.4, 0.6]])
+    for shape in (None, outline):
+        (axes,) = footplate_figure(replace(result, outline_mm=shape)).axes
+        assert len([line for line in axes.lines if len(line.get_xdata()) == 2]) == 2

@@ -165,11 +165,16 @@ def test_fiducials_are_read_with_every_fault(tmp_path):
     assert all("fiducial" in fault.where.detail for fault in named)
 
 
-def test_points_in_metres_are_refused(tmp_path):
+@pytest.mark.parametrize("largest_mm", [None, 20.0])
+def test_points_in_metres_are_refused(tmp_path, largest_mm):
+    """Also of a base 20 mm wide: its points are then 20 um apart."""
     simulated(tmp_path, in_footplate=True)
 
     def shrink(table):
-        table[["x_mm", "y_mm", "z_mm"]] *= 1e-3
+        places = table[["x_mm", "y_mm", "z_mm"]]
+        base = table["body"] == "base"
+        wide = 1.0 if largest_mm is None else largest_mm / places[base].apply(np.ptp).max()
+        table[["x_mm", "y_mm", "z_mm"]] = 1e-3 * places.mul(np.where(base, wide, 1.0), axis=0)
 
     rewrite(tmp_path / "points.csv", shrink)
     with pytest.raises(StapeskitError) as caught:

@@ -37,6 +37,7 @@ UNITS = {
     "m/s": (1, 1.0, ""), "[ um/s / V ]": (1, 1e-6, "V"), "(m/s^2)/N": (2, 1.0, "N"), "g": (2, 9.80665, ""),
     "mm": (0, 1e-3, ""), "m s-1": (1, 1.0, ""), "µm": (0, 1e-6, ""), "m/s/s": (2, 1.0, ""),
     "m/s/m/s": (1, 1.0, "m/s"), "(mm/s)/(mm/s)": (1, 1e-3, "mm/s"), "mm/s/uPa": (1, 1e-3, "uPa"),
+    "m/s/Volt": (1, 1.0, "Volt"),
     **dict.fromkeys(("dB", "V", "m/s/sqrt(Hz)", "rad/s", "", "(m/s)^2/Hz", "m/s per V", "m/second", "m/min")),
 }  # fmt: skip
 

@@ -39,6 +39,7 @@ LAYOUTS = {
         "usd": {"YUnit": "m/s", "ResponseDOFs": {"Direction": "ptcPlusZTranslation"}},
     },
     "a title": {"x": FREQ_HZ, "y": Z, "usd": USD, "name": "scan 3"},
+    "an empty unit of frequencies": {"x": FREQ_HZ, "y": Z, "usd": {**USD, "XUnit": ""}},
     "kilohertz": {"x": FREQ_HZ / 1e3, "y": Z, "usd": {**USD, "XUnit": "kHz"}},
     "one axis a point in words": {
         "x": FREQ_HZ,
