@@ -95,7 +95,7 @@ def plate_frame(faces: Sequence[PlaneFace], stapes_mm: Array, level_sd_mm: float
     StapeskitError
         The plate has no large plane face that looks towards the stapes.
     """
-    main = main_face(faces, stapes_mm)
+    main = next(iter(facing(faces, stapes_mm)), None)
     if main is None:
         got = f"{len(faces)} faces, none of which is plane and has the stapes on its outer side"
         expected = "a solid with a plane face towards the stapes"
@@ -110,13 +110,15 @@ def plate_frame(faces: Sequence[PlaneFace], stapes_mm: Array, level_sd_mm: float
     return PlateFrame(pose.transform, covariance, pose.corners, cropped, "faces", _notices(pose, sides))
 
 
-def main_face(faces: Sequence[PlaneFace], stapes_mm: Array) -> PlaneFace | None:
-    """Return the largest plane face of a plate that has a point of the stapes on its outer side."""
-    for face in faces:
-        flat = float(np.max(np.abs(np.linalg.eigvalsh(face.turning_1_mm)))) < _CURVED_1_MM
-        if flat and not face.at_border and face.distance(stapes_mm[None, :])[0] > 0.0:
-            return face
-    return None
+def facing(faces: Sequence[PlaneFace], stapes_mm: Array) -> list[PlaneFace]:
+    """Return the plane faces of a plate that have a point of the stapes on their outer side, in their order."""
+    return [
+        face
+        for face in faces
+        if float(np.max(np.abs(np.linalg.eigvalsh(face.turning_1_mm)))) < _CURVED_1_MM
+        and not face.at_border
+        and face.distance(stapes_mm[None, :])[0] > 0.0
+    ]
 
 
 def _sides(faces: Sequence[PlaneFace], main: PlaneFace) -> list[PlaneFace]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ct_inertia.bodies import Labelled, MeasuredBody, Scene
 from ct_inertia.frames.plate import plane_faces
-from ct_inertia.frames.plate_frame import main_face
+from ct_inertia.frames.plate_frame import facing
 from ct_inertia.grey.border import border_contacts, border_covariance, border_notice
 from ct_inertia.grey.budget import amounts_of, grey_scale_bend, unstated_coat, with_sources
 from ct_inertia.grey.frame_surface import body_surface
@@ -45,7 +45,7 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
 
         return replace(measure_mask(labelled), plate=plate, plate_faces=faces)
     middle = labelled.box.scan_points(np.argwhere(labelled.stapes)[:, ::-1].mean(axis=0)[None])[0]
-    begin = start(labelled, main_face(faces, middle))
+    begin = start(labelled, facing(faces, middle))
     storing = storing_around(labelled, begin)
     begin = begin if storing is None else storing.corrected(begin)
     fit = fit_scene(begin, Media.around(begin, coat), storing)

@@ -6,6 +6,7 @@ plane does: plastic is subtracted as a known background there, whoever is nearer
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -56,23 +57,36 @@ class FacePlane:
     sd_mm: float = 0.0
 
     @classmethod
-    def of(cls, face: PlaneFace | None, stapes: Mask, grid: Grid) -> FacePlane | None:
-        """Return the plane of a plate's face on a grid; None without one.
+    def of(
+        cls, faces: Sequence[PlaneFace], stapes: Mask, plate: Mask, under: Mask, grid: Grid
+    ) -> FacePlane | None:
+        """Return the plane of the face that the stapes stands on, on a grid; None without one.
+
+        A holder may have a larger face than that, as a wall beside it: the one is taken behind which most of
+        what is plastic near the stapes lies, and least of what is not.
 
         Parameters
         ----------
-        face : PlaneFace or None
+        faces : sequence of PlaneFace
             In scan coordinates.
-        stapes : ndarray of bool, [z, y, x]
-            On the grid.
+        stapes, plate, under : ndarray of bool, [z, y, x]
+            On the grid; the last is near both.
         grid : Grid
         """
-        if face is None or face.area_mm2 < _LEAST_MM2:
-            return None
         axes = grid.scan_from_index[:3, :3] / grid.spacing_mm
-        away = face.point_mm - grid.scan_from_index[:3, 3]
-        offset = -float(face.normal @ away)
-        plane = cls(-(axes.T @ face.normal)[::-1], offset, grid.spacing_mm[::-1])
+        planes = []
+        for face in faces:
+            if face.area_mm2 >= _LEAST_MM2:
+                offset = -float(face.normal @ (face.point_mm - grid.scan_from_index[:3, 3]))
+                planes.append(cls(-(axes.T @ face.normal)[::-1], offset, grid.spacing_mm[::-1]))
+        shown = under & ~stapes
+        if not planes or not shown.any():
+            return None
+        told = [float(np.mean((one.depth(plate.shape) > 0.0)[shown] == plate[shown])) for one in planes]
+        plastic = float(np.mean(plate[shown]))
+        if max(told) <= max(plastic, 1.0 - plastic):  # no plane says more than one answer for all voxels
+            return None
+        plane = planes[int(np.argmax(told))]
         sunk = float(np.mean(plane.depth(stapes.shape)[stapes] > 0.0))
         return replace(plane, wets=sunk > _MOST_SUNK)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,8 +91,15 @@ class Start:
         return np.asarray(self.distances["stapes"] <= np.float32(self.reach_mm))
 
 
-def start(labelled: Labelled, plate_face: PlaneFace | None = None) -> Start:
-    """Measure air, noise and blur around the labelled stapes, and give each voxel to a body."""
+def start(labelled: Labelled, plate_faces: Sequence[PlaneFace] = ()) -> Start:
+    """Measure air, noise and blur around the labelled stapes, and give each voxel to a body.
+
+    Parameters
+    ----------
+    labelled : Labelled
+    plate_faces : sequence of PlaneFace
+        Those of the plate that look towards the stapes.
+    """
     box = labelled.box
     sigma = first_sigma(labelled)
     edge = float(box.spacing_mm.max())
@@ -111,7 +119,10 @@ def start(labelled: Labelled, plate_face: PlaneFace | None = None) -> Start:
         air, noise = robust_mean(grey[far])
         air_sd = mean_by_cells(grey[far], np.argwhere(far), 16)[1]
     beside = {name: mask for name, mask in masks.items() if np.any(near & (distances[name] < reach))}
-    face = FacePlane.of(plate_face, masks["stapes"], box.part(part)) if "plate" in beside else None
+    face = None
+    if "plate" in beside:
+        under = near & (distances["plate"] < np.float32(reach))
+        face = FacePlane.of(plate_faces, masks["stapes"], masks["plate"], under, box.part(part))
     basin = _basins(grey, beside, distances, reach, sigma)
     if face is not None and not face.wets:
         near_plate = basin == 1 + list(beside).index("plate")

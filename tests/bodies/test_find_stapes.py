@@ -20,6 +20,7 @@ from ct_inertia.surface.contour import contour
 from ct_inertia.voxels.distance import capped_distance
 from ct_inertia.voxels.grid import Grid
 from simulate import Stapes
+from simulate.solids import box
 from stapeskit.faults import StapeskitError
 from stapeskit.registration import displacement
 from tests.bodies.body_scenes import AIR, BONE, ear, true_moments
@@ -69,6 +70,16 @@ def test_a_seed_answers_that_an_unusual_body_is_the_stapes():
     seed = doubted.box.scan_points(index[len(index) // 2][None])[0]
     named = find_stapes(scan, Search(seed_mm=seed))
     assert "stapes_uncertain" not in {notice.code for notice in named.notices}
+
+
+@pytest.mark.parametrize("gap_mm", [0.0, -0.05])
+def test_the_face_under_the_stapes_counts_not_a_larger_wall_beside_it(gap_mm, monkeypatch):
+    floor, wall = box([-1.6, -0.5, -1.3], [1.9, 0.0, 1.3]), box([1.9, -0.5, -1.3], [2.5, 5.0, 1.3])
+    monkeypatch.setattr("simulate.ear._plate", lambda: [floor, wall])
+    scan, placed = ear(seed=503, bone=False, plate_gap_mm=gap_mm)
+    found, exact = measure(find_stapes(scan)).moments, true_moments(placed)
+    assert abs(found.volume_mm3 - exact.volume_mm3) < 4.0 * found.volume_sd_mm3
+    assert found.volume_sd_mm3 < 2e-3 * exact.volume_mm3
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.5])

@@ -97,7 +97,7 @@ def test_a_plate_under_the_body_is_held_to_its_plane(sunk, tilt):
     leaning /= np.linalg.norm(leaning)
     point = ball.centre - (ball.radius + gap) * normal
     fit = fit_scene(
-        begin := start(body, plane_face(point + sunk * normal, leaning)), Media.around(begin, None)
+        begin := start(body, [plane_face(point + sunk * normal, leaning)]), Media.around(begin, None)
     )
     plane = fit.media.plane
     corner = np.array([part.start for part in begin.part[::-1]]) * ball.voxel
