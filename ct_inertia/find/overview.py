@@ -24,6 +24,8 @@ _FEW_VALUES = 4  # most grey values of a scan that somebody has thresholded
 _LEAST_PADDING = 0.01  # share of the voxels from which a constant outside is reported
 _LEAST_CORNERS = 4  # of 27 corners, edges and middles that a constant outside fills
 _LEAST_BOX = 4  # sides in coarse voxels of a box of one value, which noise never makes
+_EDGE_VOXELS = 8  # edge of padding that was smoothed or resampled with the picture
+_AIR_BEHIND = 0.8  # share of air behind it; behind the edges of bodies it is bone and plastic
 _AS_AIR = 3.0  # deviations of noise from the level of air within which a constant is air
 _LOUD = calibrated("overview.loud_noise")
 
@@ -163,12 +165,23 @@ def _is_padding(grey: Grey, value: float, outside: Mask, levels: Array, near: fl
     """Return whether a constant is no material: it is not the level of air, and ends at materials.
 
     Air that the export has clipped, or that has no noise, is a constant too. It ends at the blurred edges of
-    bodies, or fades into them.
+    bodies, or fades into them. So does padding that was smoothed or resampled with the picture: behind its
+    edge lies air nearly everywhere, and bodies where a constant is air.
     """
+    if abs(value - levels[0]) < near:
+        return False
     around = grey[grown(outside) & ~outside][:, None]
     at_material = np.min(np.abs(around - levels.astype(np.float32)), axis=1) < near
     at_itself = np.abs(around[:, 0] - np.float32(value)) < near
-    return bool(abs(value - levels[0]) >= near and np.mean(at_material & ~at_itself) > 0.5)
+    if np.mean(at_material & ~at_itself) > 0.5:
+        return True
+    wide = outside
+    for _ in range(_EDGE_VOXELS):
+        wide = grown(wide)
+    behind = grey[grown(wide) & ~wide]
+    values = np.array([*levels, value], dtype=np.float32)
+    nearest = np.argmin(np.abs(behind[:, None] - values), axis=1)  # noise that was smoothed has no known size
+    return bool(np.mean(nearest == 0) > _AIR_BEHIND) if behind.size else False
 
 
 def _constants(grey: Grey) -> Iterator[tuple[float, Mask]]:

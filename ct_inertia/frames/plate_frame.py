@@ -111,7 +111,7 @@ def plate_frame(faces: Sequence[PlaneFace], stapes_mm: Array, level_sd_mm: float
 
 
 def facing(faces: Sequence[PlaneFace], stapes_mm: Array) -> list[PlaneFace]:
-    """Return the plane faces of a plate that have a point of the stapes on their outer side, in their order."""
+    """Return the plane faces of a plate that have a point of the stapes on their outer side."""
     return [
         face
         for face in faces

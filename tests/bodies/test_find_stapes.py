@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import shift
 
 from ct_inertia.find.box import block_for
 from ct_inertia.find.choose import Search
@@ -80,6 +81,25 @@ def test_the_face_under_the_stapes_counts_not_a_larger_wall_beside_it(gap_mm, mo
     found, exact = measure(find_stapes(scan)).moments, true_moments(placed)
     assert abs(found.volume_mm3 - exact.volume_mm3) < 4.0 * found.volume_sd_mm3
     assert found.volume_sd_mm3 < 2e-3 * exact.volume_mm3
+
+
+@pytest.mark.parametrize("value", [-20000.0, 0.0, 15000.0, 60000.0])
+@pytest.mark.parametrize("edge", ["resampled", "air that rises towards it"])
+def test_padding_counts_as_not_measured_however_its_edge_looks(value, edge):
+    scan, placed = ear(seed=503, gap_mm=0.12, plate=False)
+    grey = scan.read().astype(np.float32)
+    y, x = (np.arange(n) - 0.5 * (n - 1) for n in grey.shape[1:])
+    inward = 0.47 * min(grey.shape[1:]) - np.hypot(y[:, None], x)
+    if edge == "resampled":
+        grey[:, inward < 0.0] = value
+        grey = shift(grey, [0.3, 0.37, 0.21], order=1, mode="nearest")
+    else:
+        grey += (6.0 * 0.03 * (BONE - AIR) * np.exp(-inward.clip(0.0) / 3.0)).astype(np.float32)
+        grey[:, inward < 0.0] = value
+    labelled = find_stapes(Scan.from_array(grey, scan.spacing_mm))
+    assert any("field of view" in notice.text for notice in labelled.notices)
+    found, exact = measure(labelled).moments, true_moments(placed).volume_mm3
+    assert abs(found.volume_mm3 - exact) < 4.0 * found.volume_sd_mm3
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.5])
