@@ -21,7 +21,7 @@ import numpy as np
 
 from app.study_file import OwnFile, StudyFile
 from stapeskit.command import fault_sentence, run
-from stapeskit.warnings import Notice
+from stapeskit.warnings import Notice, once
 
 if TYPE_CHECKING:
     from ct_inertia.results import MassResult
@@ -42,7 +42,7 @@ def _tell(stage: str, share: float | None = None) -> None:
 
 
 def _warn(notices: Sequence[Notice]) -> None:
-    _say(notices={notice.code: notice.text for notice in notices})
+    _say(notices=[(notice.code, notice.text) for notice in notices])
 
 
 def _keep(study: StudyFile, name: str, content: dict[str, Any]) -> None:
@@ -192,14 +192,14 @@ class Job:
         Of `STEPS`.
     stage, share : str, float or None
         What is at work, and the part of it that is done.
-    notices : dict of str to str
-        Warnings by code.
+    notices : tuple of Notice
+        Warnings, each once: several may have one code.
     """
 
     def __init__(self, step: str, study: StudyFile) -> None:
         self.step, self.stage = step, "starting"
         self.share: float | None = None
-        self.notices: dict[str, str] = {}
+        self.notices: tuple[Notice, ...] = ()
         self._fault, self._stopped = "", False
         self._began = self._stage_began = time.monotonic()
         self._process = subprocess.Popen(
@@ -216,7 +216,7 @@ class Job:
                 word = json.loads(line)
             except ValueError:  # what a library printed
                 continue
-            self.notices |= word.get("notices", {})
+            self.notices = once([*self.notices, *(Notice(*pair) for pair in word.get("notices", ()))])
             self._fault = word.get("fault", self._fault)
             if "stage" in word:
                 if word["stage"] != self.stage:

@@ -55,12 +55,12 @@ def registration_text(measured: Mapping[str, Any]) -> str:
     )
 
 
-def notice_list(notices: Mapping[str, str]) -> Markup | str:
-    """Return warnings by code, to be unfolded."""
+def notice_list(notices: Sequence[Notice]) -> Markup | str:
+    """Return warnings, to be unfolded."""
     if not notices:
         return ""
     plural = "warning" if len(notices) == 1 else "warnings"
-    return page.folded(f"{len(notices)} {plural}", page.notices(Notice(*pair) for pair in notices.items()))
+    return page.folded(f"{len(notices)} {plural}", page.notices(notices))
 
 
 class Curves:

@@ -174,6 +174,8 @@ def _unknown_warnings(confirmed: Sequence[str], name: str) -> list[Fault]:
         if not any(code == word or code.startswith(f"{word}_") for code in codes):
             near = difflib.get_close_matches(word, codes, 1) or [code for code in codes if word in code]
             step = f"Did you mean {near[0]}?" if near else "docs/warnings.md lists all codes"
+            now = next((code for code, entry in warning_table().items() if word in entry.was), "")
+            step = f"It is {now} now" if now else step
             faults.append(Fault("study.confirmed", "codes of warnings", word, name, step))
     return faults
 

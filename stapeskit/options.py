@@ -260,7 +260,7 @@ def unknown(name: str, known: Sequence[str], where: str = "") -> Fault:
     """Return the fault of a name that no option has, with the nearest one."""
     by_word = {word.rpartition(".")[2].lstrip("-").replace("_", "-"): word for word in known}
     near = difflib.get_close_matches(name.lstrip("-").replace("_", "-"), by_word, 1)
-    step = f"Did you mean {by_word[near[0]]}?" if near else ""
+    step = f"Did you mean {by_word[near[0]]}?" if near else "docs/options.md lists them all"
     return Fault(name, "a known option", "an unknown one", where, step)
 
 

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -37,12 +37,16 @@ class Notice:
 
 @dataclass(frozen=True)
 class WarningEntry:
-    """What a code means, what to do, the verdict on a result that has it, and the room that gives it."""
+    """What a code means, what to do, the verdict on a result that has it, and the room that gives it.
+
+    ``was`` lists codes of earlier versions whose warnings have this one now.
+    """
 
     meaning: str
     what_to_do: str
     verdict: str = "check"
     room: str = ""
+    was: Sequence[str] = ()
 
 
 @cache

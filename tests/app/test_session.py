@@ -14,7 +14,7 @@ import SimpleITK as sitk
 import tifffile
 from scipy.spatial import cKDTree
 
-from app import tables
+from app import steps, tables
 from app.grey import grey_values
 from app.session import Session
 from app.steps import STEPS, Job
@@ -25,6 +25,7 @@ from pipeline.new_study import LAYOUT, SPACING
 from pipeline.run import scan2kd
 from simulate import Ear, Experiment, Scan, simulate_study
 from stapeskit.faults import StapeskitError
+from stapeskit.warnings import Notice
 
 FILES = ("scan.nrrd", "ldv.csv", "points.csv", "fiducials.csv")
 
@@ -243,6 +244,18 @@ def test_a_refusal_comes_from_the_child_in_the_words_of_the_command_and_no_trace
     assert "must be" in fault
     assert "Traceback" not in fault
     assert not Path(study.found / "mass.json").exists()
+
+
+def test_warnings_of_one_code_all_come_from_the_child_and_each_once(capsysbinary):
+    told = [Notice("file_read", "skipped"), Notice("file_read", "turned"), Notice("noise_free", "none")]
+    for part in (told, [Notice("file_read", "mass: turned")]):
+        steps._warn(part)
+    job = Job.__new__(Job)
+    job.notices, job._fault = (), ""
+    job._process = SimpleNamespace(stdout=capsysbinary.readouterr().out.splitlines())
+    job._read()
+    assert list(job.notices) == told
+    assert "3 warnings" in tables.notice_list(job.notices)
 
 
 def test_a_scan_that_cannot_be_read_leaves_the_study_that_was_open(session, tmp_path):
