@@ -20,7 +20,7 @@ from fitting.unknowns import UNKNOWNS
 from stapeskit.arrays import Array
 from stapeskit.faults import list_some
 from stapeskit.report.quantities import MASS, plus_minus
-from stapeskit.warnings import VERDICTS, Notice, table
+from stapeskit.warnings import VERDICTS, Notice, is_among, table
 
 if TYPE_CHECKING:
     from fitting.result import KDFit
@@ -99,7 +99,7 @@ def result_notices(fit: KDFit) -> list[Notice]:
     What follows from a motion that is misread is left out, but for properties of K and D, and unless the user
     confirms the motion.
     """
-    codes = {notice.code for notice in fit.notices if not _is_among(notice.code, fit.confirmed)}
+    codes = {notice.code for notice in fit.notices if not is_among(notice.code, fit.confirmed)}
     misread = {follows for code in codes.intersection(MISREAD) for follows in _CAUSES[code]} - _OF_RESULT
     checks = (_model, _physics, _noise, _inputs, _plane, _weak, _plausibility)
     return [notice for check in checks for notice in check(fit) if notice.code not in misread]
@@ -387,8 +387,8 @@ def judge(
         Codes that follow from no further unknown.
     """
     listed = list(dict.fromkeys(notices))
-    checked = [notice.code for notice in listed if _is_among(notice.code, confirmed)]
-    left = [notice for notice in listed if not _is_among(notice.code, (*confirmed, *unused))]
+    checked = [notice.code for notice in listed if is_among(notice.code, confirmed)]
+    left = [notice for notice in listed if not is_among(notice.code, (*confirmed, *unused))]
     codes = {notice.code for notice in left}
     causes = [code for code in _CAUSES if code in codes]
     if _CORRECTED in codes:
@@ -413,10 +413,6 @@ def _reason(notice: Notice, codes: set[str], cause: str) -> Reason:
     if notice.code == cause or notice.code not in _CAUSES.get(cause, ()):
         return Reason(notice.code, notice.text, level)
     return Reason(notice.code, f"Follows from {cause}: {notice.text}", level, cause)
-
-
-def _is_among(code: str, names: Sequence[str]) -> bool:
-    return any(code == name or code.startswith(f"{name}_") for name in names)
 
 
 def _level(code: str, codes: set[str]) -> str:

@@ -14,6 +14,7 @@ from kinematics.options import MotionOptions
 from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
 from stapeskit.option_types import Number, ReadFile, Table, Text, Words
 from stapeskit.options import Opt, Options, read_toml, template
+from stapeskit.warnings import is_among
 from stapeskit.warnings import table as warning_table
 
 TITLE = """A study: one ear, from its scan and its vibrometer file to stiffness and damping.
@@ -171,7 +172,7 @@ def _unknown_warnings(confirmed: Sequence[str], name: str) -> list[Fault]:
     """Return a fault for each confirmed warning that is neither a code nor the first words of one."""
     codes, faults = list(warning_table()), []
     for word in confirmed:
-        if not any(code == word or code.startswith(f"{word}_") for code in codes):
+        if not any(is_among(code, [word]) for code in codes):
             near = difflib.get_close_matches(word, codes, 1) or [code for code in codes if word in code]
             step = f"Did you mean {near[0]}?" if near else "docs/warnings.md lists all codes"
             now = next((code for code, entry in warning_table().items() if word in entry.was), "")

@@ -67,6 +67,11 @@ def from_json(records: Iterable[Mapping[str, str]]) -> tuple[Notice, ...]:
     return tuple(Notice(record["code"], record["text"]) for record in records)
 
 
+def is_among(code: str, names: Iterable[str]) -> bool:
+    """Return whether names hold a code or its first words, as ``confirmed`` of a study does."""
+    return any(code == name or code.startswith(f"{name}_") for name in names)
+
+
 def unique(notices: Iterable[Notice]) -> tuple[Notice, ...]:
     """Drop repeated notices, keeping the first of each and their order."""
     return tuple(dict.fromkeys(notices))

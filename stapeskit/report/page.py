@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike
 from stapeskit.report.colours import PAGE_COLOURS
 from stapeskit.report.figures import draw
 from stapeskit.report.quantities import PLAIN, Quantity, ShownUnit, plus_minus
-from stapeskit.warnings import Notice
+from stapeskit.warnings import Notice, is_among
 from stapeskit.warnings import table as warning_table
 
 if TYPE_CHECKING:
@@ -287,7 +287,7 @@ def notices(found: Iterable[Notice], confirmed: Sequence[str] = ()) -> Markup:
     """
     known, listed = warning_table(), []
     for notice in found:
-        checked = notice.code in confirmed
+        checked = is_among(notice.code, confirmed)
         level = "information" if checked else known[notice.code].verdict if notice.code in known else ""
         listed.append({"code": notice.code, "text": notice.text, "css": _css(level), "confirmed": checked})
     return render("notices", listed)

@@ -18,6 +18,7 @@ from pipeline.study import read_study
 from simulate import Truth
 from stapeskit.faults import StapeskitError
 from stapeskit.outputs import MANIFEST
+from stapeskit.report import page
 from stapeskit.warnings import Notice
 
 
@@ -186,6 +187,21 @@ def test_confirmed_warnings_do_not_lower_the_verdict(
     study = copied(small, tmp_path, study=f"confirmed = [{listed}]")
     shutil.copytree(finished.out, tmp_path / "out")
     assert run_study(study, tmp_path / "out").fit.verdict.level == "believe"
+
+
+def test_a_confirmed_code_of_earlier_versions_is_answered_with_what_it_is_now(
+    small: tuple[Path, Truth], tmp_path: Path
+) -> None:
+    study = copied(small, tmp_path, study='confirmed = ["separation_weak"]')
+    with pytest.raises(StapeskitError) as raised:
+        read_study(study)
+    assert "cut_through_bone" in raised.value.faults[0].next_step
+
+
+def test_first_words_of_a_code_confirm_it_on_the_page_as_in_the_verdict() -> None:
+    shown = page.notices([Notice("handedness_unconfirmed", "turned?")], confirmed=["handedness"])
+    assert shown == page.notices([Notice("handedness_unconfirmed", "turned?")], ["handedness_unconfirmed"])
+    assert shown != page.notices([Notice("handedness_unconfirmed", "turned?")])
 
 
 def test_every_figure_of_the_report_as_pdf_and_svg(finished: StudyResult, tmp_path: Path) -> None:
