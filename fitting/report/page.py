@@ -64,7 +64,7 @@ def kd_page(fit: KDFit) -> Page:
 
 def first_screen(fit: KDFit, *others: Markup) -> list[Markup]:
     """Return verdict, K, D, other matrices, modes, the footplate and what is known of the model."""
-    about = f"{page.PLUS_MINUS} K, D and M are {_ABOUT}."
+    about = f"{page.PLUS_MINUS} {'K, D and M' if others else 'K and D'} are {_ABOUT}."
     cells = [*matrices(fit), *others, *_first_modes(fit), *footplate_blocks(fit)]
     alt = "Amplitudes of the structure, measured and fitted, and of the base."
     cells.append(page.figure(amplitude_figure(fit), "", alt, file="amplitudes", title="Measured and fitted"))
