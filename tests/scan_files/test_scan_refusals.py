@@ -326,6 +326,9 @@ def test_dicom_folders(tmp_path):
     assert refused(two / "1_9.dcm").got == "a single slice"
     frames = w.itk(tmp_path / "frames.dcm", picture("u2"))
     assert refused(frames).got == "7 frames in one file"
+    beside = w.dicom(tmp_path / "beside", picture("i2")[:1], series="9")
+    w.itk(beside / "frames.dcm", picture("u2"))
+    assert refused(beside).got == "7 frames in one file"
     scout = w.dicom(w.dicom(tmp_path / "scout", picture("i2")), picture("i2")[:1], series="9")
     scan = open_scan(scout)
     assert np.array_equal(scan.read(), picture("i2"))
