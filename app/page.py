@@ -24,8 +24,9 @@ with app.setup:
     from app.picture import VIEWS, Picture
     from app.session import Session
     from app.study_file import StudyFile
+    from ct_inertia.options import ASSUMED_DENSITY
     from fitting.options import COMPARE, DAMPING, KDOptions
-    from pipeline.new_study import ASSUMED_DENSITY, LAYOUT, SPACING
+    from pipeline.new_study import LAYOUT, SPACING
     from stapeskit.command import fault_sentence
     from stapeskit.faults import StapeskitError
     from stapeskit.report import page

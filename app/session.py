@@ -12,8 +12,9 @@ from app.drawing import Change, Drawing
 from app.marks import Marks
 from app.steps import LABELS, Job, mass_folder, read_shown
 from app.study_file import OwnFile, StudyFile
+from ct_inertia.options import ASSUMED_DENSITY
 from ct_inertia.scan.scan import Scan
-from pipeline.new_study import ASSUMED_DENSITY, lacking, look
+from pipeline.new_study import lacking, look
 from stapeskit.arrays import Array
 from stapeskit.documents import read_json
 from stapeskit.faults import StapeskitError
@@ -102,7 +103,7 @@ class Session:
             self.study = study = StudyFile.new(study.path.parent, name, study.text)
             self.marks = Marks(study)
         study.put("study" if study.get("study", "side") else "scan", side=side)
-        study.put("scan", density_kg_m3=None if stated in ("", ASSUMED_DENSITY) else stated)
+        study.put("scan", density_kg_m3=None if stated in ("", str(ASSUMED_DENSITY)) else stated)
 
     def set_measurement(self, key: str, name: str | None) -> None:
         """Choose the vibrometer file, its points or its fiducials."""

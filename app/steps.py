@@ -20,7 +20,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from app.study_file import OwnFile, StudyFile
-from stapeskit.command import fault_sentence, run
+from stapeskit.command import INTERRUPTED, fault_sentence, run
 from stapeskit.warnings import Notice, once
 
 if TYPE_CHECKING:
@@ -254,7 +254,7 @@ class Job:
         self._reader.join()
         if self._process.stdout is not None:
             self._process.stdout.close()
-        if self._stopped or code == 130:
+        if self._stopped or code == INTERRUPTED:
             return "Stopped; what was there before is unchanged."
         killed = "The step ended before it was done, most often because memory ran out: close other programs."
         return self._fault or (killed if code else "")

@@ -297,7 +297,7 @@ def _frame_surface(measured: MeasuredBody) -> tuple[Surface, SurfaceError]:
 
 
 def _sampled(body: BodySurface) -> Callable[[Array], Array]:
-    """Return the function that reads the misfit of a surface at scan points (n, 3)."""
+    """Return a function of scan points (n, 3), mm, that gives the sd of the surface by misfit there."""
     back = np.linalg.inv(body.scan_from_index)
     last = np.array(body.misfit_sd_mm.shape) - 1
 

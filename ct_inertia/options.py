@@ -21,6 +21,7 @@ from stapeskit.option_types import (
     PositiveWithSd,
     ReadFile,
     Spacing,
+    WithSd,
     Words,
     ZeroOrWithSd,
     numbers,
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
     from ct_inertia.grey.media import Coat
     from ct_inertia.scan.raw import RawLayout
 
+ASSUMED_DENSITY = WithSd(1900.0, 200.0)
+"""Density of bone, kg/m3, where nothing is given (contract); its spread is that of published models of the
+middle ear (`ct_inertia.mass.sizes`)."""
 MESH_SUFFIXES = (".stl", ".ply", ".obj", ".glb")
 EXPORTS = ("stl", "obj", "glb", "mat", "crop")
 """What ``--export`` writes; each is an entry of `ct_inertia.exports.write.EXPORTS`."""
@@ -195,7 +199,9 @@ class MassOptions(Options):
     close: Annotated[Flag, Opt("close the holes of a surface mesh", _READING)] = False
     density_kg_m3: Annotated[
         PositiveWithSd | None,
-        Opt("density of the bone, kg/m3 (1900+-200 is assumed)", _MASS, "1900+-60", recommended=True),
+        Opt(
+            f"density of the bone, kg/m3 ({ASSUMED_DENSITY} is assumed)", _MASS, "1900+-60", recommended=True
+        ),
     ] = None
     mass_mg: Annotated[
         PositiveWithSd | None, Opt("mass of the stapes alone, mg, from a balance", _MASS, "3.1+-0.05")

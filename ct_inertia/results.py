@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ct_inertia.frames.anatomy import anterior_words
-from ct_inertia.options import MassOptions
+from ct_inertia.options import ASSUMED_DENSITY, MassOptions
 from ct_inertia.surface.surface import Surface
 from stapeskit.arrays import Array
 from stapeskit.records.mass_matrix import MassMatrix
@@ -129,7 +129,7 @@ class MassResult(Result):
         size = f"{footplate.length_mm:.2f} × {footplate.width_mm:.2f} mm; height {footplate.height_mm:.2f} mm"
         rows = [
             *(
-                [("density", "ASSUMED: 1900 ± 200 kg/m³; --density, --mass-mg, --calibration")]
+                [("density", f"ASSUMED: {ASSUMED_DENSITY} kg/m³; --density, --mass-mg, --calibration")]
                 if assumed
                 else []
             ),

@@ -111,8 +111,8 @@ def _spread(likelihood: Likelihood, theta: Array, weights: Array) -> tuple[Fit, 
     """Return the estimate with its covariance and the bias by noise in the regressor.
 
     Residuals have the covariance B C B^H; with an inverse A+ of A the estimate moves by -A+ times theirs.
-    Where chi2 contradicts the stated noise, each line's own residuals take its place: a few loud lines rule
-    an unweighted estimate (jackknife, doi:10.1016/0304-4076(85)90158-7).
+    Where chi2 contradicts the stated noise, each line's own residuals are used instead of it, since a few
+    loud lines dominate an unweighted estimate (jackknife, doi:10.1016/0304-4076(85)90158-7).
     """
     data, known = likelihood.data, slice(0, likelihood.at["law"].stop)
     slopes = _real_rows((weights[:, None] * likelihood.slopes(theta, data.y[:, :, None]))[..., 0])
@@ -244,7 +244,7 @@ def _stable(
 
 
 def _semidefinite(matrix: Array, wanted: Array, free: Array, n: int, low: Array, high: Array) -> Array:
-    """Return the minimum with K, D >= 0 by Cholesky factors, from two starts; bounds by a penalty."""
+    """Return the minimum with positive semidefinite K, D (Cholesky), from two starts; bounds by a penalty."""
     from scipy.optimize import least_squares
 
     weight = 1e3 * np.linalg.norm(wanted)

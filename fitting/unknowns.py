@@ -167,7 +167,7 @@ def _level(data: Data) -> Array:
 
 
 def _holder(frequency_hz: float, value: float, parts: Parts, data: Data) -> None:
-    """Add a resonance of the holder (%) to the motion of the base."""
+    """Add a resonance of the holder, ``value`` in %, to the motion of the base."""
     ratio = data.freq_hz / frequency_hz
     shape = (1.0 / _HOLDER_QUALITY) / (1.0 - ratio**2 + 1j * ratio / _HOLDER_QUALITY)
     parts.base = parts.base * (1.0 + 0.01 * value * shape)

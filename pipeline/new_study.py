@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ct_inertia.options import ASSUMED_DENSITY
 from stapeskit.faults import StapeskitError
 from stapeskit.options import toml
 from stapeskit.outputs import MANIFEST, Outputs, written_in
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
 STUDY = "study.toml"
 SAMPLE = "stapeskit sample"  # writes inputs, not results
-ASSUMED_DENSITY = "1900+-200"
 _TEXTS = (".csv", ".txt", ".asc", ".tsv")
 _LOOKED_AT = 1 << 16  # bytes of a text: headers of exports end before
 _VALUE = re.compile(r"(?<![\w.])[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?(?![\w])")
@@ -254,7 +254,7 @@ def study_text(
             line("file", scan.name, "volume, folder of slices, or mesh"),
             *(asked(key, *words) for key, words in layout.items() if _is_raw(scan)),
             asked("spacing_mm", 0.02, "voxel size, where the scan does not carry it"),
-            asked("density_kg_m3", ASSUMED_DENSITY, bone),
+            asked("density_kg_m3", str(ASSUMED_DENSITY), bone),
             asked("side", "left", "names z superior or inferior"),
             asked("anterior", [-1.0, 0.0, 0.0], "towards anterior in scan axes; its sign counts"),
             *files(found_in_scan, always=False),

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
             """Report the stage."""
 
 
+INTERRUPTED = 130
+"""Exit code of a command that was interrupted."""
 _CLEAR = "\r\x1b[2K"
 
 
@@ -81,7 +83,7 @@ def run(prog: str, work: Callable[[list[str]], Outcome | None]) -> NoReturn:
     except BrokenPipeError:  # the reader of the output has left, as in "| head"
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt as interruption:
-        code = 130
+        code = INTERRUPTED
         sys.stderr.write(f"{prog}: interrupted; {str(interruption) or 'no output was changed'}.\n")
     except Exception as error:
         sentence = fault_sentence(error)

@@ -20,8 +20,8 @@ from stapeskit.paired_points import kabsch, misfits
 from stapeskit.warnings import Notice
 
 INCONSISTENT = 1e-3
-_INCONSISTENT_SD = 3.0902  # the same of a normal distribution
 """Probability of residuals below which fiducials are reported as inconsistent: 1 of 1000 right sets is."""
+_INCONSISTENT_SD = 3.0902  # the same of a normal distribution
 MOST_RESIDUAL_MM = 1.0
 """Root mean square residual of inconsistent fiducials from which on they are refused: a third of a stapes."""
 

@@ -1,4 +1,4 @@
-"""A box of the scan as block means on a grid fine enough to measure on."""
+"""A box of the scan, averaged over blocks of voxels to a grid that is still fine enough to measure on."""
 
 from __future__ import annotations
 

@@ -200,7 +200,7 @@ def _constants(grey: Grey) -> Iterator[tuple[float, Mask]]:
 
 
 def _outside(grey: Grey, value: float, from_corners: bool) -> Mask | None:
-    """Return where a constant fills the outside of a field of view, or boxes; None where it does neither."""
+    """Return where a constant fills the outside of a field of view, or lost blocks; None where neither."""
     import cc3d
 
     same = grey == np.float32(value)

@@ -131,7 +131,7 @@ class Piece:
 
     @property
     def usual(self) -> bool:
-        """It has a size and a shape that nobody would call unusual, and surrounds no other bone."""
+        """Its size and shape are usual for a stapes, and it surrounds no other bone."""
         return self.possible and self.size_score > -USUAL and not self.surrounding
 
     @property

@@ -27,7 +27,7 @@ _COLLAR_MM, _MOST_COVERED = 0.15, 0.7  # a plate covers the footplate and some o
 def find_plate(scan: Scan, overview: Overview, reading: Reading, stapes: Mask) -> PlateRegion | None:
     """Find the largest body of plastic grey that is no blurred rim of bone; None where there is none.
 
-    ``stapes`` [z, y, x] in coarse voxels.
+    ``stapes`` is its mask, [z, y, x] in coarse voxels.
 
     Notes
     -----

@@ -146,7 +146,7 @@ def _is_rounded_edge(face: PlaneFace, kept: Sequence[PlaneFace]) -> bool:
 def _pose(
     main: PlaneFace, sides: Sequence[PlaneFace], along: int | None = None, weights: Array | None = None
 ) -> _Pose:
-    """Build the frame from the planes; ``along`` is the side whose edge gives x, with others by weight."""
+    """Build the frame from the planes; x follows the edge of side ``along``, or a weighted mean of edges."""
     normal = main.normal
     u = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     u = u / np.linalg.norm(u)

@@ -30,7 +30,7 @@ class BoneLevel:
     Attributes
     ----------
     contrast, sd : float
-        Above air, and its standard uncertainty without that of air.
+        Level above air, and its standard uncertainty, that of the air level left out.
     noise : float
         Standard deviation of a voxel inside bone.
     source : str

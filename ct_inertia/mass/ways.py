@@ -11,15 +11,12 @@ import numpy as np
 from ct_inertia.bodies import MeasuredBody, Moments
 from ct_inertia.mass.calibration import Calibration, from_calibration
 from ct_inertia.mass.properties import MassProperties, from_density, from_mass
+from ct_inertia.options import ASSUMED_DENSITY
 from stapeskit.faults import StapeskitError
 from stapeskit.option_types import WithSd
 from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.report.quantities import MASS
 from stapeskit.warnings import Notice
-
-ASSUMED_DENSITY = WithSd(1900.0, 200.0)
-"""Density of bone, kg/m3, where nothing is given (contract); its spread is that of published models of the
-middle ear (`ct_inertia.mass.sizes`)."""
 
 _LIKELY_SDS = 3.0  # 3 of 1000 normal values are further apart
 _UNSTATED_SHARE = 0.05  # of the mass: replaces a standard deviation that was not given, in comparisons only

@@ -113,7 +113,7 @@ class State:
 
     @cached_property
     def own_noise(self) -> tuple[Array, Array]:
-        """Energy of each channel that does not follow the motion, and its degrees of freedom, (c,).
+        """For each channel (c,): the energy that the motion does not explain, and its degrees of freedom.
 
         In lines of their own, what is proportional to the motion at all lines is subtracted from residuals.
         """
@@ -260,7 +260,7 @@ def joint(
     parameters : Parameters
     start : ndarray, (p,), optional
     geometry : Geometry, optional
-        What the parameters change; that of ``packed`` unless given.
+        Geometry that the parameters change; by default that of ``packed``.
 
     Notes
     -----

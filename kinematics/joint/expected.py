@@ -36,7 +36,7 @@ class ChannelError:
     tangent : int
         Of `kinematics.joint.tangents`.
     sd : float
-        Standard deviation that is stated of it: 1, rad, s or m.
+        Its stated standard deviation; the unit follows the tangent: none, rad, s or m.
     """
 
     name: str

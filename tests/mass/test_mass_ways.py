@@ -11,7 +11,8 @@ from ct_inertia.bodies import Moments
 from ct_inertia.mass.calibration import Calibration, from_calibration, read_calibration
 from ct_inertia.mass.properties import PointMass, from_density, from_mass, point_masses
 from ct_inertia.mass.sizes import PUBLISHED, body_volumes, check_mesh, impossible, unusual_notice
-from ct_inertia.mass.ways import ASSUMED_DENSITY, MassByWay, disagreements, masses_by_way, not_stated
+from ct_inertia.mass.ways import MassByWay, disagreements, masses_by_way, not_stated
+from ct_inertia.options import ASSUMED_DENSITY
 from ct_inertia.surface.surface import Surface
 from simulate import Stapes, ellipsoid, point_mass, stapes_solid, uniform_mass
 from simulate.solids import joined
