@@ -1,70 +1,33 @@
-"""Warnings of a fit, and the ONE verdict that they lead to: believe, check or do not use, causes first."""
+"""Every warning that a fit deserves, and the verdict on it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import chdtr, chdtri
 
 from fitting import entries
 from fitting.bands import SIGNIFICANT_P
-from fitting.likelihood import LOAD
+from fitting.evidence import most_moved_by_load
 from fitting.options import IGNORE
-from fitting.solve import MISFIT_P, Fit, with_covariance
-from fitting.solve import fit as fit_model
+from fitting.plane import usual_ratio
+from fitting.solve import MISFIT_P
 from fitting.uncertainty import effect_of
 from fitting.unknowns import UNKNOWNS
+from fitting.verdict import OF_MODEL, WEAK, Verdict, follow_from_misreading, judge, unused_codes
 from stapeskit.arrays import Array
 from stapeskit.faults import list_some
 from stapeskit.report.quantities import MASS, plus_minus
-from stapeskit.warnings import VERDICTS, Notice, is_among, table
+from stapeskit.warnings import Notice, is_among
 
 if TYPE_CHECKING:
     from fitting.result import KDFit
 
-BELIEVE = "believe"
-INFORMATION, CHECK, DO_NOT_USE = VERDICTS
-LEVELS = (BELIEVE, CHECK, DO_NOT_USE)
-
-_CHAIN = ("stapeskit", "ct_inertia", "kinematics", "fitting", "pipeline")  # rooms in their order
-# Residuals beyond the noise widen the sd, which covers noise that was stated too small. Where K and D change
-# over the band as well, the one pair of matrices is wrong, and widening does not cover that.
-_TOGETHER = (("misfit", "frequency_dependent"), ("flexible", "frequency_dependent"))
-_OF_MODEL, _WEAK = ("frequency_dependent", "misfit"), ("weak_identifiability", "undetermined")
-_OF_RESULT = {"not_passive", "unstable"}
-# What a wrong input makes; its cause is listed before it.
-_OUTCOMES = (
-    *_OF_MODEL, "implausible_stiffness", "constraint_active", "not_passive", "unstable", "not_converged",
-    *_WEAK,
-)  # fmt: skip
-# Causes with a name, the first of which counts, and what follows from each: of motion that is another than
-# its file says, everything; of one wrong reading or unknown, that the model does not hold.
-_CAUSES = {
-    **dict.fromkeys(
-        ("bodies_exchanged", "phase_convention", "unit_slip", "other_mass_file"),
-        (*_OUTCOMES, "cause_found", "fluid_found", "inplane_assumed", "law_ambiguous"),
-    ),
-    **dict.fromkeys(
-        (
-            "channel_label_swap", "channel_sign", "channel_direction", "channel_position", "channel_gain",
-            "channel_drift", "drift_between_points", "lasers_disagree", "sample_moved", "flexible",
-        ),
-        _OF_MODEL,
-    ),
-    "cause_found": (*_OF_MODEL, *_WEAK),
-}  # fmt: skip
-_CORRECTED = "corrected"  # what was wrong with single channels is out of the motion
-
-MISREAD = ("bodies_exchanged", "phase_convention", "unit_slip")
-"""Warnings that a motion is not what its file says: what the fit shows then says nothing more."""
-
 PISTON_RANGE = (120.0, 3200.0)
 """Published stiffness of the human annular ligament in piston direction, N/m (paper.md, 6, with a margin)."""
 
-_BY_CHANCE = 1e-3  # p-value of a load above which it is not significant
 _HUMAN_KG = (2e-6, 4.5e-6)  # masses of human stapedes
 _MASS_RANGE_KG = (0.5e-6, 10e-6)  # outside it a mass is in another unit, or of something else
 _GYRATION_RANGE_MM = (0.2, 4.0)  # radii of gyration about x, z: half width to height of a stapes
@@ -89,7 +52,7 @@ def verdict_of(fit: KDFit) -> Verdict:
     given = [*fit.notices, *([notice] if lost else [])]
     best = fit.search.best
     unexplained = best is not None and not best.found.explained
-    apart = (*(_WEAK if by_itself else ()), *(_OF_MODEL if unexplained else ()))
+    apart = (*(WEAK if by_itself else ()), *(OF_MODEL if unexplained else ()))
     return judge(given, fit.confirmed, unused, apart)
 
 
@@ -100,7 +63,7 @@ def result_notices(fit: KDFit) -> list[Notice]:
     confirms the motion.
     """
     codes = {notice.code for notice in fit.notices if not is_among(notice.code, fit.confirmed)}
-    misread = {follows for code in codes.intersection(MISREAD) for follows in _CAUSES[code]} - _OF_RESULT
+    misread = follow_from_misreading(codes)
     checks = (_model, _physics, _noise, _inputs, _plane, _weak, _plausibility)
     return [notice for check in checks for notice in check(fit) if notice.code not in misread]
 
@@ -252,7 +215,7 @@ def _plane(fit: KDFit) -> Iterator[Notice]:
         )
         yield Notice("inplane_neglected", text)
     if others and data.loads_known and fit.options.inplane == IGNORE and fit.options.estimator == "ml":
-        place, change = _most_moved_by_load(fit.found)
+        place, change = most_moved_by_load(fit.found)
         if change:
             text = (
                 f"The measured motion {others} is significant but left out; it moves {fit.parameters[place]} "
@@ -263,24 +226,10 @@ def _plane(fit: KDFit) -> Iterator[Notice]:
         share = np.diag(fit.budget["inplane_stiffness"]) / np.maximum(np.diag(fit.covariance), 1e-300)
         text = (
             "The in-plane motion does not determine all of the stiffness in the plane of the ligament; for "
-            "the rest 2.2 ± 1.5 times the piston stiffness was assumed. This stiffness is up to "
+            f"the rest {usual_ratio()} times the piston stiffness was assumed. This stiffness is up to "
             f"{100.0 * share.max():.0f} % of a variance of K and D."
         )
         yield Notice("inplane_assumed", text)
-
-
-def _most_moved_by_load(found: Fit) -> tuple[int, float]:
-    """Return the entry that moves most when other measured motion is a load, and its share (0: chance)."""
-    other = fit_model(found.data, replace(found.likelihood.model, motion=LOAD), found.theta, found.noise)
-    other = with_covariance(other)
-    count = found.at["entries"].stop
-    change = other.theta[:count] - found.theta[:count]
-    statistic = change @ np.linalg.solve(other.covariance[:count, :count], change)
-    if statistic < max(float(chdtri(count, _BY_CHANCE)), 2.0 * count):
-        return 0, 0.0
-    relative = change / entries.sizes(*entries.split(found.theta[:count], found.likelihood.n))
-    place = int(np.argmax(np.abs(relative)))
-    return place, float(relative[place])
 
 
 def _weak(fit: KDFit) -> Iterator[Notice]:
@@ -333,107 +282,3 @@ def _plausibility(fit: KDFit) -> Iterator[Notice]:
 
 def _within(value: float, ends: tuple[float, float]) -> bool:
     return ends[0] <= value <= ends[1]
-
-
-@dataclass(frozen=True)
-class Reason:
-    """One reason of a verdict: what it alone would make of the study."""
-
-    code: str
-    text: str
-    level: str
-    follows_from: str = ""  # code of the cause that it is a consequence of
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """Believe, check or do not use, with reasons by weight; codes that the user confirmed do not count.
-
-    A cause has the weight of what follows from it and comes first.
-    """
-
-    level: str
-    reasons: tuple[Reason, ...]
-    confirmed: tuple[str, ...] = ()
-
-    @property
-    def sentence(self) -> str:
-        """The verdict in one line, the same on every terminal and page."""
-        if not self.reasons:
-            return f"{self.level}: no warning speaks against it"
-        heavy = [reason for reason in self.reasons if reason.level == self.level]
-        return f"{self.level}: {list_some(dict.fromkeys(one.follows_from or one.code for one in heavy), 5)}"
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the block ``verdict`` of kd.json."""
-        return {**asdict(self), "sentence": self.sentence}
-
-
-def judge(
-    notices: Iterable[Notice],
-    confirmed: Sequence[str] = (),
-    unused: Sequence[str] = (),
-    apart: Sequence[str] = (),
-) -> Verdict:
-    """Return the verdict that warnings lead to.
-
-    Parameters
-    ----------
-    confirmed : sequence of str
-        Codes, or their first words (``handedness``), that the user has checked: they no longer count.
-    unused : sequence of str
-        Codes, or their first words, that follow from what the study does not use.
-    apart : sequence of str
-        Codes that follow from no further unknown.
-    """
-    listed = list(dict.fromkeys(notices))
-    checked = [notice.code for notice in listed if is_among(notice.code, confirmed)]
-    left = [notice for notice in listed if not is_among(notice.code, (*confirmed, *unused))]
-    codes = {notice.code for notice in left}
-    causes = [code for code in _CAUSES if code in codes]
-    if _CORRECTED in codes:
-        causes = [code for code in causes if not code.startswith("channel_")]
-    cause = next(iter(causes), "")
-    alone = apart if cause == "cause_found" else ()
-    found = [_reason(notice, codes, "" if notice.code in alone else cause) for notice in left]
-    reasons = [reason for reason in found if reason.level != BELIEVE]
-    weights = [LEVELS.index(reason.level) for reason in reasons]
-    made = max((weight for weight, one in zip(weights, reasons, strict=True) if one.follows_from), default=0)
-    order = [
-        (-max(weight, made if reason.code == cause else 0), *_rank(reason))
-        for weight, reason in zip(weights, reasons, strict=True)
-    ]
-    reasons = [reasons[place] for place in sorted(range(len(reasons)), key=order.__getitem__)]
-    return Verdict(LEVELS[max(weights, default=0)], tuple(reasons), tuple(dict.fromkeys(checked)))
-
-
-def _reason(notice: Notice, codes: set[str], cause: str) -> Reason:
-    """Return a warning as a reason, with the cause that it follows from."""
-    level = _level(notice.code, codes)
-    if notice.code == cause or notice.code not in _CAUSES.get(cause, ()):
-        return Reason(notice.code, notice.text, level)
-    return Reason(notice.code, f"Follows from {cause}: {notice.text}", level, cause)
-
-
-def _level(code: str, codes: set[str]) -> str:
-    """Return the level of the verdict by one warning, given all codes of a study."""
-    if any(code in pair and set(pair) <= codes for pair in _TOGETHER):
-        return DO_NOT_USE
-    level = table()[code].verdict if code in table() else CHECK
-    return BELIEVE if level == INFORMATION else level
-
-
-def _rank(reason: Reason) -> tuple[int, int]:
-    """Return the order of a reason: what others follow from comes first, room by room of the chain."""
-    room = table()[reason.code].room if reason.code in table() else "fitting"
-    late = bool(reason.follows_from) or reason.code in _OUTCOMES
-    return (1 + (*_OUTCOMES, reason.code).index(reason.code) if late else 0, _CHAIN.index(room))
-
-
-def unused_codes(motion_provenance: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return warnings that do not concern a motion whose marks are all in scan coordinates.
-
-    It does not use the plate, and its registration would not fit if scan or vibrometer alone were mirrored.
-    """
-    all_in_scan = motion_provenance.get("registered_in") == ["scan"]
-    return ("plate", "handedness_unconfirmed") if all_in_scan else ()

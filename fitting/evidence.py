@@ -12,18 +12,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp
+from scipy.special import chdtri, log_ndtr, logsumexp
 
+from fitting import entries
 from fitting.data import Data
 from fitting.laws import LAWS
-from fitting.likelihood import Likelihood
-from fitting.solve import Fit, bic, fit, minimise, start_of
+from fitting.likelihood import LOAD, Likelihood
+from fitting.solve import Fit, bic, fit, minimise, start_of, with_covariance
 from fitting.unknowns import UNKNOWNS, Parts, Unknown, candidates
 from stapeskit.arrays import Array
 
 _SHORTLIST = 5  # refits of a search
 _LEAST_ODDS = -4.0  # log odds of a score below which a refit changes nothing: a weight below 2 %
 _LAW_CHANCE = 0.02  # that another damping law than the stated one holds
+_BY_CHANCE = 1e-3  # p-value of a load above which it is not significant
 _HOPELESS = 2.0  # times chi2 that another law leaves after a few steps, to be given up
 LOOK_ALIKE = 3.0
 """Log odds within which explanations cannot be distinguished, none being one of them: e^3 = 20."""
@@ -271,3 +273,17 @@ def law_alternative(found: Fit, other: Fit, chance: float = 1.0) -> Alternative:
         sd = float(np.sqrt(_rough_covariance(other)[place, place]))
         sd = sd / other.data.reference if law.kind.is_time else sd
     return Alternative(law.value, sd, float(odds), other)
+
+
+def most_moved_by_load(found: Fit) -> tuple[int, float]:
+    """Return the entry that moves most when other measured motion is a load, and its share (0: chance)."""
+    other = fit(found.data, replace(found.likelihood.model, motion=LOAD), found.theta, found.noise)
+    other = with_covariance(other)
+    count = found.at["entries"].stop
+    change = other.theta[:count] - found.theta[:count]
+    statistic = change @ np.linalg.solve(other.covariance[:count, :count], change)
+    if statistic < max(float(chdtri(count, _BY_CHANCE)), 2.0 * count):
+        return 0, 0.0
+    relative = change / entries.sizes(*entries.split(found.theta[:count], found.likelihood.n))
+    place = int(np.argmax(np.abs(relative)))
+    return place, float(relative[place])

@@ -184,6 +184,12 @@ def _posterior_of_stiffness(
     return mean, float(np.sqrt(weight @ (stiffness - mean) ** 2))
 
 
+def usual_ratio() -> str:
+    """Return the stiffness in the plane over the piston's that is assumed, with its sd, in words."""
+    known = _calibrated()
+    return f"{known['inplane_default']:g} ± {known['inplane_default_sd']:g}"
+
+
 def _usual(found: Fit, name: str) -> Prior:
     """Return K_cc and D_cc, SI, by a calibrated ratio to the piston's: torsion that of a ring of 1 mm."""
     ratio, ratio_sd = (_calibrated()[f"inplane_{name}{ending}"] for ending in ("", "_sd"))

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-    from fitting.checks import Verdict
     from fitting.montecarlo import Scatter
     from fitting.unknowns import Unknown
+    from fitting.verdict import Verdict
 
 _DRAWS = 2000
 _SMALLEST_WEIGHT = 1e-3  # of an alternative that changes the intervals

@@ -82,7 +82,7 @@ def run_here(jobs: int) -> Runner:
 def run_one(
     study: Path, out: Path, force: bool = False, at_work: set[subprocess.Popen[bytes]] | None = None
 ) -> End:
-    """Run one study in a process of its own: a crash, or memory that runs out, costs this ear alone.
+    """Run one study in its own process, so that a crash or a lack of memory costs this ear alone.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 INTERRUPTED = 130
-"""Exit code of a command that was interrupted."""
+"""Exit code of a command that was interrupted: that of shells, 128 and the number of SIGINT (POSIX)."""
 _CLEAR = "\r\x1b[2K"
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from fitting import entries
 from fitting.model import NORMALISATION
+from fitting.plane import usual_ratio
 from fitting.report.figures import (
     MOST_RUNS,
     amplitude_figure,
@@ -210,7 +211,7 @@ def _plane(fit: KDFit) -> list[Markup]:
     if plane is None or fit.height is None:
         return []
     height, sd = (1e3 * value for value in fit.height)
-    source = "from the in-plane motion" if plane.determined else "2.2 ± 1.5 times the piston's is assumed"
+    source = "from the in-plane motion" if plane.determined else f"{usual_ratio()} times the piston's assumed"
     values, sds = (entries.split(part, 3)[0] for part in (plane.entries, np.sqrt(np.diag(plane.covariance))))
     along_x, along_z = (plus_minus(values[place, place], sds[place, place]) for place in (0, 1))
     text = (

@@ -11,11 +11,11 @@ from functools import cached_property
 import numpy as np
 
 from kinematics.faults.kinds import SHARE, places
-from kinematics.faults.noise import unknown_noise
 from kinematics.faults.scores import Noise, Test, score_tests
+from kinematics.faults.unstated_noise import unknown_noise
 from kinematics.joint.estimate import Estimate, State, joint
 from kinematics.joint.expected import Layout
-from kinematics.joint.noise import ChannelLevels, channel_levels, pooled_levels
+from kinematics.joint.noise_levels import ChannelLevels, channel_levels, pooled_levels
 from kinematics.joint.pack import Packed, Readings, pack
 from kinematics.joint.tangents import Parameters
 from stapeskit.arrays import Array

@@ -14,17 +14,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinematics.faults.candidates import fit_candidates
-from kinematics.faults.elsewhere import Cause, other_causes
 from kinematics.faults.kinds import Finding, Place, free
-from kinematics.faults.noise import amplitude_noise
+from kinematics.faults.other_causes import Cause, other_causes
 from kinematics.faults.rounds import Round, null_fit
 from kinematics.faults.scores import pattern_gain
+from kinematics.faults.unstated_noise import amplitude_noise
 from kinematics.fit.noise import assumed_sd
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.joint.estimate import State
 from kinematics.joint.expected import ChannelError, Layout, stated_errors
 from kinematics.joint.lasers import laser_numbers
-from kinematics.joint.noise import digits_spread
+from kinematics.joint.noise_levels import digits_spread
 from kinematics.joint.pack import Readings
 from kinematics.measurement import BodyChannels
 from stapeskit.arrays import Array

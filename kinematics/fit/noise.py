@@ -11,7 +11,7 @@ from kinematics.fit.lsq import HUBER_TUNING, blocks
 from kinematics.fit.rigid_fit import LineFit, fit_lines
 from kinematics.joint.estimate import State
 from kinematics.joint.lasers import laser_numbers
-from kinematics.joint.noise import channel_levels, pooled_levels
+from kinematics.joint.noise_levels import channel_levels, pooled_levels
 from kinematics.joint.pack import Readings, pack
 from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.arrays import Array, ComplexArray

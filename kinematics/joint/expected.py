@@ -17,9 +17,9 @@ LASER_SD = {"laser_gain": 0.01, "laser_phase": float(np.deg2rad(0.5)), "laser_de
 """Of each laser against the others: data sheets of vibrometers state 1 % and 0.5 degrees, cables and filters
 differ by 1 us."""
 AXES_SD_DEG = 1.0
-"""Turn between beams and positions: holders are set by eye."""
+"""Prior sd of the turn between beams and positions: holders are set by eye, to about a degree."""
 BEAM_SD_DEG = 0.5
-"""Direction of each laser: that of a head on its mount."""
+"""Prior sd of the direction of each laser: play of a head on its mount, a few millimetres in half a metre."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import h5py
 
 OPAQUE = "a MATLAB string, table or object"
-"""Stands for a variable of MATLAB's newer classes, which no library reads."""
+"""What a variable of a class that no library reads (string, table, object) is replaced by."""
 
 _DEEPEST = 8  # groups in groups that are read; links may lead round
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from fitting import entries
-from fitting.checks import judge, unused_codes
 from fitting.montecarlo import scatter
 from fitting.plan import Plan, expect, stated_mass
 from fitting.planned_motion import planned_motion
 from fitting.report.figures import footplate_figure, responses
+from fitting.verdict import judge, unused_codes
 from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.spatial import matrix_from_parameters
 from stapeskit.warnings import VERDICTS, Notice, table

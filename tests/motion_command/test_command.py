@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 from scipy.io import loadmat
 
-from fitting.checks import unused_codes
 from fitting.dof2kd import dof2kd
+from fitting.verdict import unused_codes
 from kinematics.api import points2dof
 from kinematics.cli import work
 from kinematics.companions import with_companions

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from ct_inertia.find.label_numbers import body_numbers
 from ct_inertia.scan.label_file import SEGMENTS, write_crop, write_segmentation
 from ct_inertia.scan.open_scan import open_labels, open_scan
+from stapeskit.faults import StapeskitError
 from tests.scan_files import scan_writers as w
 from tests.scan_files import scanner_writers as own
 from tests.scan_files.scan_writers import SPACING, picture
@@ -95,3 +96,13 @@ def test_a_label_file_keeps_its_own_spacing(tmp_path):
     assert grid.spacing_mm == pytest.approx(SPACING)
     _, grid = open_labels(w.plain(tmp_path / "a.tif", LABELS), 0.5)
     assert grid.spacing_mm == pytest.approx([0.5] * 3)
+
+
+def test_labels_must_be_whole_numbers(tmp_path):
+    array = (picture("f4") > 20).astype("f4")
+    labels, _ = open_labels(w.nrrd(tmp_path / "a.nrrd", array))
+    assert labels.dtype.kind == "i"
+    assert np.array_equal(labels, array)
+    with pytest.raises(StapeskitError) as caught:
+        open_labels(w.nrrd(tmp_path / "b.nrrd", array * 0.5))
+    assert caught.value.faults[0].expected == "whole numbers"

@@ -11,7 +11,7 @@ import SimpleITK as sitk
 import tifffile
 from PIL import Image
 
-from ct_inertia.scan.open_scan import open_labels, open_scan
+from ct_inertia.scan.open_scan import open_scan
 from ct_inertia.scan.raw import RawLayout
 from stapeskit.faults import StapeskitError
 from tests.scan_files import scan_writers as w
@@ -392,13 +392,3 @@ def test_a_volume_shown_mirrored_in_its_viewer_is_read_as_stored_and_that_is_sai
     assert np.array_equal(scan.read(), picture())
     texts = [notice.text for notice in scan.notices if notice.code == "handedness_unconfirmed"]
     assert any("mirror = 1 0 0 0" in text for text in texts)
-
-
-def test_labels_must_be_whole_numbers(tmp_path):
-    array = (picture("f4") > 20).astype("f4")
-    labels, _ = open_labels(w.nrrd(tmp_path / "a.nrrd", array))
-    assert labels.dtype.kind == "i"
-    assert np.array_equal(labels, array)
-    with pytest.raises(StapeskitError) as caught:
-        open_labels(w.nrrd(tmp_path / "b.nrrd", array * 0.5))
-    assert caught.value.faults[0].expected == "whole numbers"

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinematics.faults.noise import line_residuals
 from kinematics.faults.rounds import Round
 from kinematics.faults.scores import pattern_gain
+from kinematics.faults.unstated_noise import line_residuals
 from kinematics.fit.reference import format_stretches
 from kinematics.joint.estimate import inverse, system
 from kinematics.joint.tangents import GAIN, PHASE, SHIFT, Parameters
