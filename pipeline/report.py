@@ -65,7 +65,7 @@ def _provenances(result: StudyResult) -> Sequence[Mapping[str, Any]]:
 
 
 def moving_stapes(result: StudyResult) -> Scene:
-    """Return the stapes in the plate's company, with its modes and its measured motion as animations."""
+    """Return the stapes with its modes, and the measured motion of it and of the bone and plate around it."""
     from ct_inertia.report.sections import scene
     from kinematics.report.motion import motion_scene
     from stapeskit.report.scene3d import Motion
@@ -80,8 +80,11 @@ def moving_stapes(result: StudyResult) -> Scene:
     frame = result.measured.scan_from_footplate
     points = [replace(point, position_mm=frame.points(point.position_mm)) for point in measured.points]
     beams = [replace(beam, points_mm=frame.points(beam.points_mm)) for beam in measured.lines]
+    around = "base" if "base" in result.moved.motion.bodies else None
+    surfaces = [one if one.name == "stapes" else replace(one, body=around) for one in shown.surfaces]
     return replace(
         shown,
+        surfaces=surfaces,
         points=points,
         motions=[*modes, *measured.motions],
         lines=[*shown.lines, *beams],

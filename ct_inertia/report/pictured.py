@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.bodies import PLATE, STAPES, Grey
+from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Grey, Mask
 from ct_inertia.surface.surface import Surface
 from stapeskit.arrays import Array
 from stapeskit.report.scene3d import decimate
@@ -75,6 +75,13 @@ class Pictured:
         """The stapes with few triangles, for views on a screen."""
         return Surface(*decimate(self.stapes.vertices_mm, self.stapes.faces, _FACES))
 
+    @cached_property
+    def bone(self) -> Surface | None:
+        """The other bone around the stapes, as labelled."""
+        if self.slices is None:
+            return None
+        return _surface_of(self.slices.labels == OTHER_BONE, self.slices.scan_from_index, False)
+
 
 def pictured_of(result: MassResult) -> Pictured:
     """Return what the pictures of a result need."""
@@ -115,24 +122,25 @@ def pictured_from(folder: Path, content: Mapping[str, Any], scan: Path | None = 
         from ct_inertia.scan.open_scan import open_labels
 
         labels, grid = open_labels(folder / labels_file)
-        plate = _plate_of(labels, grid) if plate is None else plate
+        plate = _surface_of(labels == PLATE, grid.scan_from_index, True) if plate is None else plate
         slices = None if scan is None else _slices(labels, grid, scan, content)
     return Pictured(surfaces["stapes"], plate, slices)
 
 
-def _plate_of(labels: NDArray[np.integer[Any]], grid: Scan) -> Surface | None:
-    """Return the surface of the plate as labelled, for the eye; None where there is none."""
+def _surface_of(mask: Mask, scan_from_index: Array, largest: bool) -> Surface | None:
+    """Return the surface of a mask [z, y, x] for the eye, of its largest piece or all; None if empty."""
     from ct_inertia.surface.contour import contour
     from ct_inertia.voxels.fields import smooth
     from ct_inertia.voxels.masks import used_box, widened
 
-    mask = labels == PLATE
     used = used_box(mask)
     if used is None:
         return None
     box = widened(used, np.ceil(5.0 * _SMOOTH_VOXELS))
     field = smooth(mask[box].astype(np.float32), np.full(3, _SMOOTH_VOXELS))
-    return contour(field, grid.part(box).scan_from_index, 0.5)
+    transform = scan_from_index.copy()
+    transform[:3, 3] += scan_from_index[:3, :3] @ [part.start for part in box[::-1]]
+    return contour(field, transform, 0.5, largest)
 
 
 def _slices(

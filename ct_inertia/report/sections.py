@@ -220,7 +220,7 @@ def _listed(values: Any, form: str) -> str:
 
 
 def scene(content: Content, pictured: Pictured) -> Scene:
-    """Return the stapes, the plate and both frames for the viewer."""
+    """Return the stapes, the plate, the bone around it and both frames for the viewer."""
     frame = frame_of(content, "footplate")
     assert frame is not None  # noqa: S101 - every mass.json has it
     names = anatomy_of(content)
@@ -231,9 +231,10 @@ def scene(content: Content, pictured: Pictured) -> Scene:
     if pictured.plate is not None:
         plate = pictured.plate
         colour = BODY_COLOURS["plate"]
-        surfaces.append(
-            Mesh("plate", plate.vertices_mm, plate.faces, colour, 0.4, most_faces=3000, in_view=False)
-        )
+        surfaces.append(Mesh("plate", plate.vertices_mm, plate.faces, colour, 0.4, most_faces=3000))
+    if pictured.bone is not None:
+        bone, colour = pictured.bone, BODY_COLOURS["other bone"]
+        surfaces.append(Mesh("other bone", bone.vertices_mm, bone.faces, colour, 0.3, most_faces=3000))
     outline = np.array(content["found"]["footplate_outline_in_footplate_mm"])
     closed = frame.points(np.vstack([outline, outline[:1]]))
     lines.append(Line("outline", closed, PAGE_COLOURS["ink"], "outline of the footplate", width=2.0))

@@ -69,7 +69,6 @@ def _surfaces(result: MotionResult) -> list[Mesh]:
             opacity=1.0 if name == "stapes" else 0.45,
             body=moves_with[name],
             most_faces=4000 if name == "stapes" else 1500,
-            in_view=name == "stapes",
         )
         for name, surface in result.surfaces.items()
     ]

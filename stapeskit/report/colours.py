@@ -12,7 +12,7 @@ PAGE_COLOURS: Mapping[str, str] = MappingProxyType(
 """Colours of the page and of verdicts on results."""
 
 BODY_COLOURS: Mapping[str, str] = MappingProxyType(
-    {"stapes": "#b06f12", "base": "#1b7581", "plate": "#1b7581"}
+    {"stapes": "#b06f12", "base": "#1b7581", "plate": "#1b7581", "other bone": "#6b4f96"}
 )
 """Colours of bodies in curves, tables and surfaces; the plate is what moves as base."""
 

@@ -37,8 +37,6 @@ class Mesh:
         ``#rrggbb``, of `colours.BODY_COLOURS`, drawn lighter, as areas are; 1 is solid.
     most_faces : int
         Triangles to which it is decimated: enough for a screen, few enough for a page.
-    in_view : bool
-        Whether the view at the start holds all of it.
     """
 
     name: str
@@ -48,7 +46,6 @@ class Mesh:
     opacity: float = 1.0
     body: str | None = None
     most_faces: int = 6000
-    in_view: bool = True
 
 
 @dataclass(frozen=True)
@@ -181,13 +178,19 @@ class Scene:
         return np.round(points if self.axes is None else self.axes.inverse().points(points), 5)
 
     def _span(self) -> tuple[Array, Array]:
-        """Return the corners of the box that the view at the start holds."""
-        held = [mesh.vertices_mm for mesh in self.surfaces if mesh.in_view and len(mesh.faces)]
+        """Return the corners of the box that the view at the start holds.
+
+        It holds all surfaces, of large ones what lies within one size of the first, so that this stays seen.
+        """
+        held = [mesh.vertices_mm for mesh in self.surfaces if len(mesh.faces)]
         if not held and self.points:
             held = [np.array([point.position_mm for point in self.points])]
-        unit = np.array([[-1.0] * 3, [1.0] * 3]) * self.axis_mm
-        every = self._placed(np.vstack(held)) if held else unit
-        return np.asarray(every.min(axis=0)), np.asarray(every.max(axis=0))
+        if not held:
+            return -self.axis_mm * np.ones(3), self.axis_mm * np.ones(3)
+        boxes = [(placed.min(axis=0), placed.max(axis=0)) for placed in map(self._placed, held)]
+        low, high = (np.array(ends) for ends in zip(*boxes, strict=True))
+        size = float(np.max(high[0] - low[0]))
+        return np.maximum(low.min(axis=0), low[0] - size), np.minimum(high.max(axis=0), high[0] + size)
 
     def _mesh(self, mesh: Mesh) -> dict[str, Any]:
         vertices, faces = decimate(mesh.vertices_mm, mesh.faces, mesh.most_faces)

@@ -114,8 +114,12 @@ def test_a_scene_without_surfaces_is_still_a_scene(points):
     assert len(data["lines"]) == 3
 
 
-def test_what_is_not_in_view_does_not_move_the_camera():
+def test_the_view_at_the_start_holds_every_surface_and_keeps_the_first_one_seen():
     ball = solid("ball")
-    bone = Mesh("bone", 50.0 * ball.points, ball.regular_faces, "#9aa7b4", 0.3, in_view=False)
     stapes = Mesh("stapes", ball.points, ball.regular_faces, "#b06f12")
-    assert json.loads(Scene([stapes, bone]).content())["reach"] < 2.0
+    plate = Mesh("plate", ball.points + np.array([0.0, -1.5, 0.0]), ball.regular_faces, "#9aa7b4", 0.3)
+    alone, both = (json.loads(Scene(surfaces).content()) for surfaces in ([stapes], [stapes, plate]))
+    assert both["reach"] > alone["reach"]
+    assert both["middle"][1] == pytest.approx(alone["middle"][1] - 0.75, abs=0.01)
+    huge = Mesh("plate", 50.0 * ball.points, ball.regular_faces, "#9aa7b4", 0.3)
+    assert json.loads(Scene([stapes, huge]).content())["reach"] < 3.5 * alone["reach"]
