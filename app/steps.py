@@ -1,7 +1,8 @@
 """The steps of a study, each in a child process: ``python -m app.steps STEP STUDY.toml``.
 
 A step is what the commands do, in the study's folders. What the page shows of it is left in NAME_app/; the
-child says stages at work, warnings and a fault on standard output, a JSON object a line.
+child says stages at work, warnings and a fault on standard output, a JSON object a line. numpy is loaded
+after `run` has set its number of threads, on which last digits depend: they are those of the commands.
 """
 
 from __future__ import annotations
@@ -16,8 +17,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
-
-import numpy as np
 
 from app.study_file import OwnFile, StudyFile
 from stapeskit.command import INTERRUPTED, fault_sentence, run
@@ -72,6 +71,8 @@ def _mass(study: StudyFile, folder: Path, *, hand_work: bool) -> None:
 
 def _keep_shown(result: MassResult, folder: Path) -> None:
     """Leave what the page shows as plain arrays: it then loads no library that reads images or meshes."""
+    import numpy as np
+
     from ct_inertia.scan.open_scan import open_labels
 
     shown: dict[str, Any] = {}
@@ -93,6 +94,8 @@ def read_shown(folder: Path | None) -> dict[str, Any]:
     """Return labels, their ``scan_from_index``, vertices and faces of a mass; empty where there are none."""
     if folder is None:
         return {}
+    import numpy as np
+
     try:
         with np.load(folder / SHOWN) as shown:
             return dict(shown)
@@ -117,6 +120,8 @@ def points(study: StudyFile) -> None:
 
 def points_content(result: MotionResult) -> dict[str, Any]:
     """Return points in scan mm with their verdicts, every beam, and how well the fiducials fit, µm."""
+    import numpy as np
+
     from kinematics.measurement import direction_name
     from kinematics.report.motion import motion_scene
 
@@ -154,6 +159,8 @@ def fit(study: StudyFile) -> None:
 
 def response_rows(result: KDFit) -> list[dict[str, Any]]:
     """Return measured and fitted responses for curves, a row a value."""
+    import numpy as np
+
     from fitting.report.figures import responses
     from stapeskit.report.figures import dof_unit
 

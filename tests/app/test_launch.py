@@ -89,3 +89,12 @@ def test_every_cell_of_the_page_runs():
     command = [sys.executable, str(root / "app" / "page.py")]
     done = subprocess.run(command, capture_output=True, text=True, cwd=root, check=False)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    "module", ["app.steps", "ct_inertia.cli", "kinematics.cli", "fitting.cli", "pipeline.cli"]
+)
+def test_threads_are_set_before_numpy_is_loaded_so_that_last_digits_agree(module):
+    asked = f"import sys, {module}; sys.exit('numpy' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", asked], cwd=Path(__file__).parents[2], check=False)
+    assert done.returncode == 0
