@@ -100,8 +100,7 @@ def state():
 def choose(attempt, session, set_marks, set_mass, set_picture, set_results, set_study):
     def chosen(files):
         def action():
-            lacks = session.open(Path(files[0].path))
-            return f"{files[0].name} opened. {lacks and f'{lacks} There is a field for it.'}"
+            return f"{files[0].name} opened. {session.open(Path(files[0].path))}"
 
         if files:
             attempt(action, set_study, set_picture, set_mass, set_marks, set_results)

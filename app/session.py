@@ -10,7 +10,7 @@ import numpy as np
 
 from app.drawing import Change, Drawing
 from app.marks import Marks
-from app.steps import LABELS, Job, mass_folder, read_shown
+from app.steps import LABELS, MASS, Job, mass_folder, read_shown
 from app.study_file import OwnFile, StudyFile
 from ct_inertia.options import ASSUMED_DENSITY
 from ct_inertia.scan.scan import Scan
@@ -57,7 +57,7 @@ class Session:
     def open(self, path: Path) -> str:
         """Begin a study of a scan, with the files beside it that belong to it, or go on with a study (.toml).
 
-        Returns what the scan lacks before it can be opened, empty where nothing. The study that was open
+        Returns what has to be done before it can be shown whole, empty where nothing. The study that was open
         stays where something is wrong. A new one is written with the first change.
         """
         self._check_idle()
@@ -65,7 +65,11 @@ class Session:
         lacks = opened.open_scan()
         opened.take_results()
         self.__dict__ = opened.__dict__
-        return lacks
+        if lacks:
+            return f"{lacks} There is a field for it."
+        # labels that were measured alone (a mesh has none) and are not there: a step was killed
+        gone = self.scan is not None and "found" in self.mass and self.drawing is None
+        return "What was found cannot be shown: press Measure; what was drawn is kept." if gone else ""
 
     def open_scan(self) -> str:
         """Open the scan as the study says; return what it still lacks, empty where nothing."""
@@ -143,7 +147,7 @@ class Session:
 
     def take_results(self) -> None:
         """Read what the steps have left."""
-        files = {"found": self.study.found / "mass.json", "cut": self.study.cut / "mass.json"}
+        files = {"found": self.study.found / MASS, "cut": self.study.cut / MASS}
         self.mass = {name: read_json(path, *_DAMAGED) for name, path in files.items() if path.is_file()}
         if "found" in self.mass:
             self._read_labels()

@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 import traceback
+import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ from zipfile import BadZipFile
 
 from app.study_file import OwnFile, StudyFile
 from stapeskit.command import INTERRUPTED, fault_sentence, run
+from stapeskit.provenance import sha256
 from stapeskit.warnings import Notice, once
 
 if TYPE_CHECKING:
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
     from fitting.result import KDFit
     from kinematics.results import MotionResult
 
-LABELS = "labels.seg.nrrd"
+LABELS, MASS = "labels.seg.nrrd", "mass.json"
 SHOWN = "shown.npz"
 
 
@@ -75,7 +77,7 @@ def _keep_shown(result: MassResult, folder: Path) -> None:
 
     from ct_inertia.scan.open_scan import open_labels
 
-    shown: dict[str, Any] = {}
+    shown: dict[str, Any] = {"of": sha256(folder / MASS)}
     for name, surface in (("stapes", result.stapes), ("plate", result.plate)):
         if surface is not None:
             shown |= {f"{name}_vertices": surface.vertices_mm, f"{name}_faces": surface.faces}
@@ -91,15 +93,18 @@ def _keep_shown(result: MassResult, folder: Path) -> None:
 
 
 def read_shown(folder: Path | None) -> dict[str, Any]:
-    """Return labels, their ``scan_from_index``, vertices and faces of a mass; empty where there are none."""
+    """Return labels, their ``scan_from_index``, vertices and faces of a mass.
+
+    Empty where there is none, where they are damaged, or where a killed step left those of an earlier mass.
+    """
     if folder is None:
         return {}
     import numpy as np
 
     try:
-        with np.load(folder / SHOWN) as shown:
-            return dict(shown)
-    except (OSError, ValueError, BadZipFile):
+        with (folder / SHOWN).open("rb") as stream, np.load(stream) as shown:
+            return dict(shown) if str(shown["of"]) == sha256(folder / MASS) else {}
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error):
         return {}
 
 
@@ -110,7 +115,7 @@ def points(study: StudyFile) -> None:
     from stapeskit.records.mass import read_mass_json
 
     folder = mass_folder(study)
-    mass = None if folder is None else read_mass_json(folder / "mass.json")
+    mass = None if folder is None else read_mass_json(folder / MASS)
     options = MotionOptions.from_study(study.tables.get("ldv", {}), study.path.name, study.path.parent)
     with options.as_keys():
         result = measure_motion(options, mass, _tell)
@@ -178,7 +183,7 @@ def response_rows(result: KDFit) -> list[dict[str, Any]]:
 def mass_folder(study: StudyFile) -> Path | None:
     """Return the folder with the mass of the study: of the corrected cut, else of the found one."""
     drawn = study.cut if study.labels_are_ours else study.found
-    return next((one for one in (drawn, study.found) if (one / "mass.json").is_file()), None)
+    return next((one for one in (drawn, study.found) if (one / MASS).is_file()), None)
 
 
 STEPS: dict[str, tuple[str, Callable[[StudyFile], None]]] = {

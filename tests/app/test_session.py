@@ -267,6 +267,22 @@ def test_a_scan_that_cannot_be_read_leaves_the_study_that_was_open(session, tmp_
     assert (session.study, session.drawing, session.marks) == before
 
 
+@pytest.mark.parametrize("damage", ["missing", "cut", "of another mass"])
+def test_labels_of_another_mass_than_that_of_the_study_are_not_shown(session, damage):
+    """A step that was killed between its files: the study opens, and says what to do."""
+    shown, mass = (session.study.found / name for name in ("shown.npz", "mass.json"))
+    if damage == "missing":
+        shown.unlink()
+    elif damage == "cut":
+        shown.write_bytes(shown.read_bytes()[:900])
+    else:
+        mass.write_text(mass.read_text().replace("stapeskit", "stapeskit ", 1))
+    again = Session(StudyFile(session.study.path.with_name(".none.toml")))
+    assert "press Measure" in again.open(session.study.path)
+    assert again.drawing is None
+    assert again.surfaces() == {}
+
+
 def test_a_scan_that_does_not_say_its_spacing_is_asked_for_it(measured, tmp_path):
     """A TIFF without a resolution, and raw voxels: the sentence, the keys to fill in, then the picture."""
     voxels = sitk.GetArrayFromImage(sitk.ReadImage(measured[0] / "scan.nrrd"))
