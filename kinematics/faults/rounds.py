@@ -15,7 +15,7 @@ from kinematics.faults.scores import Noise, Test, score_tests
 from kinematics.faults.unstated_noise import unknown_noise
 from kinematics.joint.estimate import Estimate, State, joint
 from kinematics.joint.expected import Layout
-from kinematics.joint.noise_levels import ChannelLevels, channel_levels, pooled_levels
+from kinematics.joint.noise_levels import LEAST_FREEDOM, ChannelLevels, channel_levels, pooled_levels
 from kinematics.joint.pack import Packed, Readings, pack
 from kinematics.joint.tangents import Parameters
 from stapeskit.arrays import Array
@@ -28,7 +28,6 @@ that contain each other are weighted as if each were alone and the owners indepe
 1.1 times as many alarms (2 000 simulated files); the sum is 1.0."""
 _LEVEL_ROUNDS = 2  # of the noise of channels: wrong weights put noise into the columns that hold the motion
 _STATED = 1e-4  # sd of a logarithm that is as good as none
-_LEAST_FREEDOM = 8.0  # of a channel: fewer say nothing of its noise
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ class Round:
         """Variance of each channel's noise over the stated or usual one, (c,); 1 where unknown."""
         energy, freedom = self.state.channel_energy
         ratio = energy * self.levels.apart**2 / np.maximum(freedom, 1.0) / self.noise.level
-        return np.where(freedom > _LEAST_FREEDOM, ratio, 1.0)
+        return np.where(freedom > LEAST_FREEDOM, ratio, 1.0)
 
     @cached_property
     def channel_noise(self) -> Array:
@@ -91,7 +90,7 @@ class Round:
         else:
             width = np.sqrt(self.levels.spread**2 + 0.5 / freedom)
             tail = log_ndtr(-0.5 * np.log(np.maximum(self.loudness, 1e-300)) / width)
-        return np.where(freedom > _LEAST_FREEDOM, tail, 0.0)
+        return np.where(freedom > LEAST_FREEDOM, tail, 0.0)
 
     def channel_log_p(self) -> Array:
         """Return the log of each channel's smallest p-value, corrected for the number of its tests."""
@@ -145,12 +144,12 @@ class Round:
 
 def null_fit(readings: Readings, layout: Layout) -> Round:
     """Fit motion and expected errors, find the level of the noise, and test everything."""
-    stated, count = readings.known is not None, len(layout.points)
+    stated = readings.known is not None
     packed = pack(readings)
     live = packed.live.tolist()
     expected = layout.expected(live)
     estimate = joint(packed, expected)
-    levels = ChannelLevels(np.ones(count), np.ones(count), np.zeros(count))
+    levels = ChannelLevels.as_assumed(len(layout.points))
     for _ in range(_LEVEL_ROUNDS if readings.known is None or readings.known.any() else 0):
         levels = channel_levels(estimate.state, layout.laser, levels.level, readings.known)
         packed = pack(replace(readings, noise_factor=readings.noise_factor * levels.level))

@@ -24,7 +24,7 @@ from kinematics.fit.rigid_fit import LineFit
 from kinematics.joint.estimate import State
 from kinematics.joint.expected import ChannelError, Layout, stated_errors
 from kinematics.joint.lasers import laser_numbers
-from kinematics.joint.noise_levels import digits_spread
+from kinematics.joint.noise_levels import LEAST_FREEDOM, digits_spread
 from kinematics.joint.pack import Readings
 from kinematics.measurement import BodyChannels
 from stapeskit.arrays import Array
@@ -134,7 +134,7 @@ def _noise_level(now: Round) -> float:
     """Return the noise over the stated one where all channels are louder or quieter alike, else 1."""
     energy, freedom = (part.sum(axis=0) for part in now.state.noise_energy)
     energy = energy * now.levels.level**2
-    some = freedom > 8.0
+    some = freedom > LEAST_FREEDOM
     if np.count_nonzero(some) < 3:
         return 1.0
     middle = float(np.median(energy[some] / freedom[some]))

@@ -13,6 +13,7 @@ import numpy as np
 from kinematics.faults.scores import Noise, Test
 from kinematics.fit.lsq import solve
 from kinematics.joint.estimate import Estimate, State
+from kinematics.joint.noise_levels import LEAST_FREEDOM
 from kinematics.joint.pack import Readings
 from stapeskit.arrays import Array, ComplexArray
 
@@ -37,7 +38,7 @@ def unknown_noise(estimate: Estimate, tests: Sequence[Test]) -> Noise:
         energy += max(estimate.chi2 - taken[0], 0.0)
         freedom += max(state.freedom - taken[1], 1)
     own = state.own_noise[1]
-    own = own[own > 8.0]
+    own = own[own > LEAST_FREEDOM]
     larger = float(np.sum(own) / np.sum(own - 2.0)) if own.size else 1.0
     return Noise(larger * max(energy, 1e-300) / max(freedom, 1.0), freedom)
 

@@ -11,7 +11,7 @@ from kinematics.fit.lsq import HUBER_TUNING, blocks
 from kinematics.fit.rigid_fit import LineFit, fit_lines
 from kinematics.joint.estimate import State
 from kinematics.joint.lasers import laser_numbers
-from kinematics.joint.noise_levels import channel_levels, pooled_levels
+from kinematics.joint.noise_levels import ChannelLevels, channel_levels, pooled_levels
 from kinematics.joint.pack import Readings, pack
 from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.arrays import Array, ComplexArray
@@ -20,6 +20,7 @@ from stapeskit.warnings import Notice
 FLOOR = 1e-12
 """Least sd over the largest amplitude (contract): exact data have no noise, weights need some."""
 
+_LEAST_LEVEL_DOF = 4.0  # of a level of noise: the mean of 1 over fewer grows beyond 2, for 2 without end
 _LEVEL_ROUNDS = 3  # of channels: with wrong weights, residuals of quiet ones hold the noise of loud ones
 _ROBUST_ROUNDS = 3  # of level and motion in turn; the second changes the level by less than its own sd
 
@@ -41,23 +42,44 @@ def fit_with_noise(
         )
         unknown = replace(fit, covariance=np.full_like(fit.covariance, np.nan), chi2=np.zeros_like(fit.chi2))
         return unknown, [Notice("noise_unknown", text)]
+    levels = ChannelLevels.as_assumed(len(value))
     if body.sd is None and not fit.solution.is_rounding():
         readings = Readings.of(value[None], sd[None], measurement.freq_hz, body.arms_m, body.directions)
-        lasers, level = laser_numbers(body.directions), readings.noise_factor
+        lasers = laser_numbers(body.directions)
         for _ in range(_LEVEL_ROUNDS):
-            state = State(pack(replace(readings, noise_factor=level)))
-            level = channel_levels(state, lasers, level).level
-        fit = fit_lines(beams, value, np.asarray(level[:, None] * sd), rate)
+            state = State(pack(replace(readings, noise_factor=levels.level)))
+            levels = channel_levels(state, lasers, levels.level)
+        fit = fit_lines(beams, value, np.asarray(levels.level[:, None] * sd), rate)
     for _ in range(1 if robust == "none" else _ROBUST_ROUNDS):
         level = pooled_levels(_line_energy(fit, robust), fit.n_dof.astype(float))
         factor = np.maximum(np.asarray(fit.factor * level), FLOOR)
         fit = fit_lines(beams, value, fit.sd, rate, robust, factor)
+    fit = replace(fit, covariance=fit.covariance * _unsure_noise(fit, levels.unsure))
     what = "relative noise only" if body.sd is not None else "no noise"
     text = (
         f"{what} is stated for body {body.body}: its size was estimated from the residuals of the "
         "rigid fit, so chi2 cannot test rigidity there."
     )
     return fit, [Notice("noise_estimated", text)]
+
+
+def _unsure_noise(fit: LineFit, unsure: Array) -> float:
+    """Return by what factor the variance of a motion is larger because its noise was estimated.
+
+    ``unsure`` (c,) is the variance of the logarithm of each channel's estimated noise.
+
+    Notes
+    -----
+    Weights that err make the motion less certain, and the covariance that is computed with them too small by
+    as much again (Kenward and Roger 1997, doi:10.2307/2533558): with the leverage h of a channel and the
+    variance v of its logarithmic weight, both add v (1 - h) to its contribution, a share h. The common level
+    has n degrees of freedom: 1 over it is n / (n - 2) in the mean.
+    """
+    leverage = 1.0 - fit.solution.freedom / np.maximum(2.0 * fit.solution.used, 1.0)
+    added = 2.0 * (2.0**2 * unsure) * (1.0 - leverage)
+    freedom = max(float(np.sum(fit.n_dof)), _LEAST_LEVEL_DOF)
+    weights = float(leverage @ added / max(float(np.sum(leverage)), 1e-9))
+    return (1.0 + weights) * freedom / (freedom - 2.0)
 
 
 def assumed_sd(body: BodyChannels, run: int) -> Array:

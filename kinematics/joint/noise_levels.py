@@ -16,7 +16,8 @@ from stapeskit.arrays import Array
 _POOLED_DOF = 400  # squares of neighbours that are pooled: the level is known to 1 / sqrt(2 * 400), 3.5 %
 _REFLECTION = 0.25  # spread of noise between points, in natural logarithms: reflection and focus differ
 _QUARTILES = 1.349  # distance of the quartiles of a normal distribution, in standard deviations
-_LEAST_FREEDOM = 8.0  # of a channel: fewer say nothing of its noise
+LEAST_FREEDOM = 8.0
+"""Degrees of freedom of the noise of a channel; fewer say nothing of it."""
 _SAMPLE = 100_000  # stated sd that are looked at
 _FEWEST = 3  # channels of a laser whose median is that of the laser
 
@@ -52,11 +53,20 @@ class ChannelLevels(NamedTuple):
         Part of it that is the channel's own, not its laser's.
     spread : ndarray, (c,)
         Standard deviation of the logarithm of ``apart``; 0 where the noise is stated.
+    unsure : ndarray, (c,)
+        Variance of the logarithm of ``level`` as it was estimated; 0 where it was not.
     """
 
     level: Array
     apart: Array
     spread: Array
+    unsure: Array
+
+    @classmethod
+    def as_assumed(cls, channels: int, spread: Array | float = 0.0) -> ChannelLevels:
+        """Return levels of 1, none of which was estimated."""
+        one, zero = np.ones(channels), np.zeros(channels)
+        return cls(one, one, zero + spread, zero)
 
 
 def channel_levels(
@@ -82,11 +92,10 @@ def channel_levels(
     """
     energy, freedom = state.own_noise
     energy = energy * assumed**2
-    some = freedom > _LEAST_FREEDOM
-    ones = np.ones(len(freedom))
-    spread = _REFLECTION * ones if known is None else known
+    some = freedom > LEAST_FREEDOM
+    spread = np.full(len(freedom), _REFLECTION) if known is None else known
     if not spread.any() or np.count_nonzero(some) < 2:
-        return ChannelLevels(ones, ones, spread)
+        return ChannelLevels.as_assumed(len(freedom), spread)
     logs = np.zeros(len(freedom))
     logs[some] = 0.5 * np.log(np.maximum(energy[some], 1e-300) / freedom[some])
     usual = np.zeros(len(freedom))
@@ -99,8 +108,9 @@ def channel_levels(
                 usual[own] = np.median(logs[own & some])
         width = float(np.diff(np.quantile((logs - usual)[some], [0.25, 0.75]))[0]) / _QUARTILES
         spread = np.maximum(spread, np.sqrt(max(width**2 - float(np.median(chance[some])), 0.0)))
-    apart = np.where(some, (logs - usual) * spread**2 / (spread**2 + chance), 0.0)
-    return ChannelLevels(np.exp(usual + apart), np.exp(apart), spread)
+    share = np.where(some, spread**2 / (spread**2 + chance), 0.0)
+    apart = (logs - usual) * share
+    return ChannelLevels(np.exp(usual + apart), np.exp(apart), spread, share * chance)
 
 
 def digits_spread(sd: Array) -> Array:
