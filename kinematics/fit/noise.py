@@ -21,7 +21,7 @@ FLOOR = 1e-12
 """Least sd over the largest amplitude (contract): exact data have no noise, weights need some."""
 
 _LEAST_LEVEL_DOF = 4.0  # of a level of noise: the mean of 1 over fewer grows beyond 2, for 2 without end
-_LEVEL_ROUNDS = 3  # of channels: with wrong weights, residuals of quiet ones hold the noise of loud ones
+_LEVEL_ROUNDS = 6  # of channels: with wrong weights, residuals of quiet ones hold the noise of loud ones
 _ROBUST_ROUNDS = 3  # of level and motion in turn; the second changes the level by less than its own sd
 
 
