@@ -125,7 +125,7 @@ CONDITIONS = {
         lambda r: {"plate": True, "plate_gap_mm": float(r.uniform(0.2, 0.45))}, scale=0.85
     ),
 }
-NAMING = ("grey_values_misfit", "scan_thresholded")
+NAMING = ("grey_values_misfit", "grey_values_missing")
 """Warnings that grey values are not those of two sharp materials."""
 
 

@@ -195,7 +195,7 @@ def _mesh(work: _Work) -> tuple[Surface, Surface, SurfaceError, Moments]:
     )
     work.notices += [
         *mesh.notices,
-        Notice("surface_taken_as_exact", exact),
+        Notice("grey_values_missing", exact),
         Notice("handedness_unconfirmed", turned),
     ]
     return mesh, mesh, EXACT, mesh.moments()

@@ -88,7 +88,7 @@ def _physics(fit: KDFit) -> Iterator[Notice]:
         yield Notice("not_passive", f"{' and '.join(wrong)} {text}")
     if fit.active:
         text = "the data alone would lead elsewhere, and intervals near the constraint are approximate."
-        yield Notice("constraint_active", f"The estimate is held back by {', '.join(fit.active)}; {text}")
+        yield Notice("estimator_biased", f"The estimate is held back by {', '.join(fit.active)}; {text}")
     if fit.bias is None:
         return
     found = entries.split(fit.found.theta[fit.found.at["entries"]], len(fit.dof))
@@ -99,7 +99,7 @@ def _physics(fit: KDFit) -> Iterator[Notice]:
             f"{fit.options.estimator} is biased by the noise of its regressor however many lines there are: "
             f"{fit.parameters[worst]} by about {bias[worst]:+.2g} % of sqrt(Xii Xjj). --estimator ml is not."
         )
-        yield Notice("attenuation_bias", text)
+        yield Notice("estimator_biased", text)
 
 
 def _noise(fit: KDFit) -> Iterator[Notice]:
@@ -110,7 +110,7 @@ def _noise(fit: KDFit) -> Iterator[Notice]:
         yield Notice("not_converged", "The fit stopped before it settled; do not trust the result.")
     if found.data.floored:
         text = "The motion has no noise: it was taken as known to 8 digits, and K and D as that allows."
-        yield Notice("noise_free", text)
+        yield Notice("noise_level", text)
     level = f"chi2 per degree of freedom is {found.level:.3g}"
     if not found.explained:
         text = (

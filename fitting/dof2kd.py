@@ -175,7 +175,7 @@ def _plain(matrix: Array, options: KDOptions) -> MassSource:
         "The mixed rotational entries of M were taken as elements of the inertia tensor, -integral of x z "
         "dm; with products of inertia of the other sign give --mass-sign positive, else --mass-sign tensor."
     )
-    return MassSource(matrix, notices=(Notice("mass_sign_assumed", text),))
+    return MassSource(matrix, notices=(Notice("file_read", text),))
 
 
 def check_chain(

@@ -22,7 +22,7 @@ OF_MODEL, WEAK = ("frequency_dependent", "misfit"), ("weak_identifiability", "un
 _OF_RESULT = {"not_passive", "unstable"}  # properties of K and D themselves
 # What a wrong input makes; its cause is listed before it.
 _OUTCOMES = (
-    *OF_MODEL, "implausible_stiffness", "constraint_active", "not_passive", "unstable", "not_converged",
+    *OF_MODEL, "implausible_stiffness", "estimator_biased", "not_passive", "unstable", "not_converged",
     *WEAK,
 )  # fmt: skip
 # Causes with a name, the first of which counts, and what follows from each: of motion that is another than
@@ -35,7 +35,7 @@ _CAUSES = {
     **dict.fromkeys(
         (
             "channel_label_swap", "channel_sign", "channel_direction", "channel_position", "channel_gain",
-            "channel_drift", "drift_between_points", "lasers_disagree", "sample_moved", "flexible",
+            "channel_drift", "drift_between_points", "stated_errors_exceeded", "sample_moved", "flexible",
         ),
         OF_MODEL,
     ),
@@ -116,7 +116,7 @@ def judge(
     weights = [LEVELS.index(reason.level) for reason in reasons]
     made = max((weight for weight, one in zip(weights, reasons, strict=True) if one.follows_from), default=0)
     order = [
-        (-max(weight, made if reason.code == cause else 0), *_rank(reason))
+        (-max(weight, made if reason.code == cause else 0), reason.code != cause, *_rank(reason))
         for weight, reason in zip(weights, reasons, strict=True)
     ]
     reasons = [reasons[place] for place in sorted(range(len(reasons)), key=order.__getitem__)]

@@ -119,7 +119,7 @@ def scan_notices(overview: Overview) -> list[Notice]:
             "surface lies within a voxel is lost (budget: voxels). Give the grey values as they were "
             "reconstructed."
         )
-        notices.append(Notice("scan_thresholded", text))
+        notices.append(Notice("grey_values_missing", text))
     if overview.unmeasured is not None:
         share = 100.0 * float(np.mean(overview.unmeasured))
         text = (

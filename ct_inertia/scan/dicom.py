@@ -193,7 +193,7 @@ def _numbered(stored: Stored, slices: Sequence[_Slice]) -> list[_Slice]:
     stored.note(
         "The slices have no positions: they were stacked in the order of their numbers, as far apart as "
         "stated.",
-        "slice_positions_missing",
+        "slices_missing",
     )
     return [slices[k] for k in np.argsort(numbers)]
 

@@ -70,7 +70,7 @@ def _loud_lines(freq_hz: Array, squares: Array) -> list[Cause]:
         if np.all(np.abs(freq - mains * np.round(freq / mains)) < _NEAR_MAINS_HZ):
             text = f"{len(freq)} lines at multiples of {mains:.0f} Hz do not fit a rigid motion"
             step = f"Leave them out, or average longer between multiples of {mains:.0f} Hz"
-    return [Cause("loud_lines", f"{text}: {format_stretches(every, np.isin(every, freq))}", step)]
+    return [Cause("outliers", f"{text}: {format_stretches(every, np.isin(every, freq))}", step)]
 
 
 def _single_values(squares: Array) -> list[Cause]:
@@ -82,7 +82,7 @@ def _single_values(squares: Array) -> list[Cause]:
         return []
     text = f"{count} of {number} values lie far off the rigid motion"
     step = "Fit with --robust huber, or look for drop-outs of the signal"
-    return [Cause("sparse_outliers", text, step, int(np.argmax(far.sum(axis=1))))]
+    return [Cause("outliers", text, step, int(np.argmax(far.sum(axis=1))))]
 
 
 def _scatter(now: Round, least: float) -> list[Cause]:

@@ -84,20 +84,20 @@ def per_reference(motion: RigidMotion, reference: str) -> RigidMotion:
         weak = np.abs(ref) < LEAST_SIGNAL_TO_NOISE * motion.standard_deviation[:, body, :, place]
     ratio[~np.isfinite(ratio)] = np.nan
     lost = (
-        "lines_undetermined", moves & ~np.isfinite(ref), "has no motion where other bodies have one",
+        moves & ~np.isfinite(ref), "has no motion where other bodies have one",
         "no response is written there. Measure it there too, or leave --reference out.",
     )  # fmt: skip
     noisy = (
-        "reference_noisy", weak, f"is less than {LEAST_SIGNAL_TO_NOISE:.0f} times its noise",
+        weak, f"is less than {LEAST_SIGNAL_TO_NOISE:.0f} times its noise",
         "the covariance of the ratio is widened there, and good down to three times. Leave these lines "
         "out of a fit, or take a reference that is not near zero there.",
     )  # fmt: skip
     notices = [*motion.notices]
-    for code, chosen, what, step in (lost, noisy):
+    for chosen, what, step in (lost, noisy):
         if np.any(chosen):
             count = f"at {int(np.sum(chosen))} of {ref.size} lines"
             text = f"the reference {reference} {what}, {count}, {_places(motion, chosen)}; {step}"
-            notices.append(Notice(code, text))
+            notices.append(Notice("lines_undetermined", text))
     return replace(
         motion, q=ratio, covariance=covariance, reference=reference, shared=shared, notices=tuple(notices)
     )

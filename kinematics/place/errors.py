@@ -36,7 +36,6 @@ _SHOWN = {
 
 _UNLIKELY = 1e-3  # probability of an estimate below which errors are larger than stated
 _LEAST_GAINED = 0.1  # share of the prior variance below which the data say nothing
-_INFORMED = 0.9  # sd over that before, below which the data have informed a parameter
 
 
 @dataclass(frozen=True)
@@ -112,37 +111,27 @@ class ErrorEstimate:
         return found
 
     def notices(self) -> list[Notice]:
-        """Return what a calibration determines, and errors that go beyond what was stated."""
+        """Return a warning of errors that go beyond what was stated."""
         shown = self.shown
         if not shown.errors:
             return []
         name, value, sd, stated, unit = shown.rows()[int(np.argmax(np.abs(shown.values) / shown.prior_sd))]
         largest = f"{name}, by {value:+.3g} +- {sd:.2g} {unit} (stated sd {stated:.2g} {unit})"
-        notices = []
+        if shown.p_value >= _UNLIKELY:
+            return []
         if self.calibrated:
-            seen = self.sd < _INFORMED * self.prior_sd
-            text = (
-                f"calibration: the data determine {int(seen.sum())} of {len(seen)} parameters of the "
-                "geometry. No residual shows a shift of all points of a body together, nor a turn of "
-                "positions and beams together, nor one gain common to all lasers: those rest on fiducials "
-                "and references alone."
-            )
-            notices.append(Notice("calibrated", text))
-        if shown.p_value < _UNLIKELY and self.calibrated:
             text = (
                 "calibration: the data pull the geometry beyond what the stated errors allow (p "
                 f"{shown.p_value:.1g}), most the {largest}. Check sd_mm, the directions of the beams, and "
                 "the channels with a verdict."
             )
-            notices.append(Notice("calibration_beyond_priors", text))
-        elif shown.p_value < _UNLIKELY:
+        else:
             text = (
                 f"the lasers disagree by more than stated: most the {largest}. The motion is corrected by "
                 "what the beams say together; calibrate the lasers, or state --gain-sd, --phase-sd, "
                 "--delay-sd."
             )
-            notices.append(Notice("lasers_disagree", text))
-        return notices
+        return [Notice("stated_errors_exceeded", text)]
 
 
 def agreement(

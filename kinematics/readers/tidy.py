@@ -238,7 +238,7 @@ def _notices(columns: Columns, recording: Recording) -> list[Notice]:
     exact = sum(int(np.sum(np.asarray(row.sd) == 0.0)) for row in rows if row.sd is not None)
     if exact:
         text = f"{exact} values of {file} have a noise of 0: they are exact to 1e-12 of the largest."
-        notices.append(Notice("noise_free", text))
+        notices.append(Notice("noise_level", text))
     bodies = dict.fromkeys(row.body for row in rows)
     if len({body.lower() for body in bodies}) < len(bodies):
         text = f"bodies of {file} differ in case only and were taken as different: {', '.join(bodies)}."

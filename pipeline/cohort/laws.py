@@ -113,4 +113,4 @@ def unresolved(laws: Sequence[Law]) -> list[Notice]:
         f"The exponents of {', '.join(names)} are unbounded: the spread of the predictor over these ears is "
         "not surely larger than its error."
     )
-    return [Notice("predictor_not_resolved", text)] if names else []
+    return [Notice("cohort_too_small", text)] if names else []

@@ -107,7 +107,7 @@ def log_table(ears: Sequence[Ear]) -> LogTable:
     assumed = dict.fromkeys(row.lengths_assumed for row in rows if row.lengths_assumed)
     if assumed:
         text = f"Some lengths of the scans have no stated standard deviation: {'; '.join(assumed)}."
-        notices.append(Notice("predictor_error_assumed", text))
+        notices.append(Notice("file_read", text))
     if letters == "K":
         text = "D has no common unit: its power of time differs between damping laws. No law of D is fitted."
         notices.append(Notice("cohort_mixed", text))

@@ -247,7 +247,7 @@ def test_a_refusal_comes_from_the_child_in_the_words_of_the_command_and_no_trace
 
 
 def test_warnings_of_one_code_all_come_from_the_child_and_each_once(capsysbinary):
-    told = [Notice("file_read", "skipped"), Notice("file_read", "turned"), Notice("noise_free", "none")]
+    told = [Notice("file_read", "skipped"), Notice("file_read", "turned"), Notice("noise_level", "none")]
     for part in (told, [Notice("file_read", "mass: turned")]):
         steps._warn(part)
     job = Job.__new__(Job)

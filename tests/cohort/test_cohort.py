@@ -40,11 +40,11 @@ def test_density_is_an_error_that_all_ears_share(laws):
 
 
 def test_the_assumed_error_of_lengths_is_reported_where_none_is_stated(ears, laws):
-    assert "predictor_error_assumed" in {notice.code for notice in laws.notices}
+    assert "file_read" in {notice.code for notice in laws.notices}
     keys = ("height", "footplate_length", "footplate_width")
     stated = [{**one.mass["found"], **{f"{key}_sd_mm": 0.01 for key in keys}} for one in ears]
     known = [replace(one, mass={**one.mass, "found": found}) for one, found in zip(ears, stated, strict=True)]
-    assert "predictor_error_assumed" not in {notice.code for notice in cohort_of(known).notices}
+    assert "file_read" not in {notice.code for notice in cohort_of(known).notices}
 
 
 def test_an_ear_is_predicted_from_its_scan_alone(ears, laws):

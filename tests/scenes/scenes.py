@@ -116,7 +116,7 @@ def _fit(
         fits=True,
         motion_is_given=True,
         dof2kd=words,
-        codes={"dof2kd": ("mass_sign_assumed", "mass_uncertainty_not_given", *warnings)},
+        codes={"dof2kd": ("file_read", "mass_uncertainty_not_given", *warnings)},
     )
 
 
@@ -154,12 +154,12 @@ SCENES: dict[str, Scene] = {
     "named_segments": _ct(Scan(voxel_um=40.0, seed=3), labels=".seg.nrrd"),
     "closed_mesh": _ct(
         Scan(voxel_um=32.0, format="ply", seed=3),
-        codes=_mass("surface_taken_as_exact"),
+        codes=_mass("grey_values_missing"),
         without=("bare_bone_assumed", "plate_axis_sign"),
     ),
     "mended_mesh": _ct(
         Scan(voxel_um=32.0, format="stl", seed=3),
-        codes=_mass("surface_taken_as_exact", "file_read"),
+        codes=_mass("grey_values_missing", "file_read"),
         without=("bare_bone_assumed", "plate_axis_sign"),
     ),
     # a scan of each family of formats; every kind of each: tests/scan_files
@@ -196,9 +196,7 @@ SCENES: dict[str, Scene] = {
     "repeats": _points(
         Experiment(lines=60, in_footplate=True, excitations=("y", "y", "y", "y"), repeats=True, seed=19)
     ),
-    "calibrated_lasers": _points(
-        Experiment(lines=80, in_footplate=True, seed=20), ("calibrated",), points2dof="--calibrate"
-    ),
+    "calibrated_lasers": _points(Experiment(lines=80, in_footplate=True, seed=20), points2dof="--calibrate"),
     "per_reference": _points(points2dof="--reference base:y"),
     "noise_free": _points(
         Experiment(lines=40, in_footplate=True, exact=True, position_sd_mm=0.0, seed=11), ("noise_estimated",)
@@ -236,8 +234,8 @@ SCENES: dict[str, Scene] = {
     ),
     # fits of K and D: estimators, laws, degrees of freedom, plane, closed forms
     "piston": _fit(),
-    "piston_pinv": _fit(words="--estimator pinv", warnings=("attenuation_bias", "misfit")),
-    "piston_constrained": _fit(words="--estimator constrained", warnings=("attenuation_bias",)),
+    "piston_pinv": _fit(words="--estimator pinv", warnings=("estimator_biased", "misfit")),
+    "piston_constrained": _fit(words="--estimator constrained", warnings=("estimator_biased",)),
     "piston_t4": _fit(words="--robust t4"),
     "hysteretic": _fit(damped_alike(Ligament(), "hysteretic"), words="--damping hysteretic"),
     "fractional": _fit(damped_alike(Ligament(), "fractional"), words="--damping fractional"),
