@@ -43,7 +43,7 @@ LAWS: dict[str, LawKind] = {
 
 
 @dataclass(frozen=True)
-class Law:
+class DampingLaw:
     """A damping law with its unknown, SI."""
 
     name: str = "viscous"  # of `LAWS`
@@ -79,9 +79,9 @@ class Law:
         values = (self.value,) if self.free else ()
         return np.asarray(self.kind.factor(np.asarray(omega), *values), dtype=complex)
 
-    def scaled(self, reference: float) -> Law:
+    def scaled(self, reference: float) -> DampingLaw:
         """Return the law of frequencies divided by ``reference``, rad/s."""
         return replace(self, value=self.value * reference) if self.kind.is_time else self
 
 
-VISCOUS = Law()
+VISCOUS = DampingLaw()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import eigh
 
-from fitting.laws import VISCOUS, Law
+from fitting.laws import VISCOUS, DampingLaw
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import StapeskitError
 
@@ -65,7 +65,7 @@ class Modes:
 
 
 def dynamic_stiffness(
-    stiffness: ArrayLike, damping: ArrayLike, omega: ArrayLike, law: Law = VISCOUS
+    stiffness: ArrayLike, damping: ArrayLike, omega: ArrayLike, law: DampingLaw = VISCOUS
 ) -> ComplexArray:
     """Return Z(w) = K + s(w) D, (lines, n, n), SI, at angular frequencies (lines,), rad/s."""
     factor = law.factor(omega)[:, None, None]
@@ -79,7 +79,7 @@ def simulate(
     freq_hz: ArrayLike,
     base: ArrayLike,
     load: ArrayLike | None = None,
-    law: Law = VISCOUS,
+    law: DampingLaw = VISCOUS,
 ) -> ComplexArray:
     """Return the motion of the structure for a base motion and, if any, a known inertial load (paper, Eq. 8).
 
@@ -130,7 +130,7 @@ def passive(matrix: ArrayLike) -> bool:
     return bool(np.linalg.eigvalsh(values / np.outer(root, root))[0] >= -1e-12)
 
 
-def modes(mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, law: Law = VISCOUS) -> Modes:
+def modes(mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, law: DampingLaw = VISCOUS) -> Modes:
     """Return eigenvalues and shapes of a model; matrices (n, n), SI, mass positive definite.
 
     Notes
@@ -167,7 +167,7 @@ def modes(mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, law: Law = 
 
 
 def moved_eigenvalues(
-    found: Modes, mass: Array, stiffness: Array, damping: Array, law: Law = VISCOUS, steps: int = 6
+    found: Modes, mass: Array, stiffness: Array, damping: Array, law: DampingLaw = VISCOUS, steps: int = 6
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return eigenvalues (draws, modes) and shapes (draws, modes, n) of models near one that is solved.
 

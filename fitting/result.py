@@ -13,7 +13,7 @@ import numpy as np
 from fitting import entries
 from fitting.bands import BandFactors
 from fitting.evidence import Search
-from fitting.laws import Law
+from fitting.laws import DampingLaw
 from fitting.mass import Inertia
 from fitting.model import Modes, modes, passive
 from fitting.options import KDOptions
@@ -99,7 +99,7 @@ class KDFit(Result):
         return self.options.dof
 
     @property
-    def law(self) -> Law:
+    def law(self) -> DampingLaw:
         """The damping law."""
         return self.found.law
 

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from fitting.data import Data
 from fitting.entries import basis, split, symmetric, vector
-from fitting.laws import Law
+from fitting.laws import DampingLaw
 from fitting.likelihood import Likelihood, Model
 from stapeskit.arrays import Array
 
@@ -76,10 +76,10 @@ class Fit:
         return self.weights is not None or self.p_value > MISFIT_P
 
     @property
-    def law(self) -> Law:
+    def law(self) -> DampingLaw:
         """The damping law, SI."""
         values = self.theta[self.at["law"]]
-        law = Law(self.likelihood.model.law, float(values[0]) if len(values) else 0.0)
+        law = DampingLaw(self.likelihood.model.law, float(values[0]) if len(values) else 0.0)
         return law.scaled(1.0 / self.data.reference)
 
 

@@ -19,7 +19,7 @@ from kinematics.place.surfaces import Surface
 from kinematics.repeats import RepeatedRun
 from stapeskit.outputs import Outputs
 from stapeskit.records.mass_record import MassRecord
-from stapeskit.records.motion import motion_frame, write_motion, write_motion_mat
+from stapeskit.records.motion import motion_table, write_motion, write_motion_mat
 from stapeskit.records.rigid_motion import RigidMotion
 from stapeskit.results import Result
 from stapeskit.warnings import Notice
@@ -98,7 +98,7 @@ class MotionResult(Result):
 
     def to_frame(self) -> DataFrame:
         """Return the rows and columns of dof.csv, one row a run, body and frequency."""
-        return motion_frame(self.motion)
+        return motion_table(self.motion)
 
     def plot(self) -> Figure:
         """Draw amplitude and phase of every degree of freedom over frequency."""

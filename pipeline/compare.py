@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.cohort.ears import Ear, Quantity, quantities, read_ears
-from pipeline.what_if import Effect, what_if_frame, what_if_page
+from pipeline.what_if import Effect, what_if_page, what_if_table
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.records.rigid_motion import RigidMotion
@@ -180,7 +180,7 @@ def write_comparison(
     if isinstance(found, Comparison):
         name, made, table = "compare", compare_page(found), found.to_frame()
     else:
-        name, made, table = "what_if", what_if_page(found), what_if_frame(found)
+        name, made, table = "what_if", what_if_page(found), what_if_table(found)
     outputs = Outputs(f"stapeskit compare {name}", out, (f"{name}.html", f"{name}.csv"), inputs, force)
     with outputs.staged() as stage:
         made.write(stage / f"{name}.html")

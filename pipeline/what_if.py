@@ -19,7 +19,7 @@ import numpy as np
 
 from fitting.draws import root_of
 from fitting.entries import join, split
-from fitting.laws import LAWS, Law
+from fitting.laws import LAWS, DampingLaw
 from fitting.unknowns import point
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
@@ -166,11 +166,11 @@ def effect(ear: Ear, folder: Path, change: Change) -> Effect:
     return Effect(ear.name, change, freq, change_db(mean), low, high)
 
 
-def _law_of(model: Mapping[str, Any]) -> Law:
+def _law_of(model: Mapping[str, Any]) -> DampingLaw:
     """Return the damping law of the block ``model`` of a kd.json."""
     name = str(model.get("damping_law", "viscous"))
     time_s, exponent = model.get("relaxation_time_s"), model.get("damping_exponent", 1.0)
-    return Law(name, float(time_s if LAWS[name].is_time and time_s is not None else exponent))
+    return DampingLaw(name, float(time_s if LAWS[name].is_time and time_s is not None else exponent))
 
 
 def head_of(folder: Path, mass: Mapping[str, Any]) -> Array:
@@ -226,7 +226,7 @@ def what_if_page(effects: Sequence[Effect]) -> Page:
     return made
 
 
-def what_if_frame(effects: Sequence[Effect]) -> DataFrame:
+def what_if_table(effects: Sequence[Effect]) -> DataFrame:
     """Return the changes over frequency, the rows of what_if.csv."""
     import pandas as pd
 

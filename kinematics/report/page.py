@@ -48,7 +48,7 @@ def motion_page(result: MotionResult) -> Page:
         f"exp(+i omega t); {len(motion.freq_hz)} lines."
     )
     made = page.Page(result.title, lead)
-    level, reasons = verdict_of(result.notices)
+    level, reasons = motion_verdict(result.notices)
     made.add(page.verdict(level, _SENTENCES[level], reasons))
     made.add(page.table(("", ""), summary_rows(result), words=True))
     some = f"the first {MOST_RUNS} of {len(motion.runs)} runs; " if len(motion.runs) > MOST_RUNS else ""
@@ -62,7 +62,7 @@ def motion_page(result: MotionResult) -> Page:
     return made
 
 
-def verdict_of(notices: Sequence[Notice]) -> tuple[str, list[Notice]]:
+def motion_verdict(notices: Sequence[Notice]) -> tuple[str, list[Notice]]:
     """Return ``believe``, ``check`` or ``do not use`` by the worst warning, and those that lower it."""
     known = table()
     found = [known[notice.code].verdict if notice.code in known else "check" for notice in notices]

@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.cohort.compatible import cohort_faults, reasons_to_exclude, shared_scans
 from pipeline.cohort.components import Components
 from pipeline.cohort.ears import Ear, read_ears, unique_names
-from pipeline.cohort.law import Law
+from pipeline.cohort.law import PowerLaw
 from pipeline.cohort.laws import LEAST_EARS, components_of, fit_laws, unresolved
 from pipeline.cohort.logs import LogTable, full_name, log_table
 from pipeline.cohort.predict import Prediction, Predictor
@@ -48,7 +48,7 @@ class Cohort(Result):
     ears: tuple[Ear, ...]
     excluded: tuple[tuple[str, str], ...]
     table: LogTable | None = None
-    laws: tuple[Law, ...] = ()
+    laws: tuple[PowerLaw, ...] = ()
     components: Components | None = None
     notices: tuple[Notice, ...] = ()
     _predictors: dict[tuple[str, str], Predictor] = field(default_factory=dict, compare=False)
@@ -59,7 +59,7 @@ class Cohort(Result):
         return f"Cohort of {len(self.ears)} ears, {len(self.laws)} laws"
 
     @property
-    def primary(self) -> list[Law]:
+    def primary(self) -> list[PowerLaw]:
         """The planned laws."""
         return [law for law in self.laws if law.family == "primary"]
 
@@ -104,7 +104,7 @@ class Cohort(Result):
             write_cohort(stage, self, {"ears": [ear.folder for ear in self.ears]})
         return tuple(outputs.folder / name for name in FILES)
 
-    def law(self, response: str, predictor: str) -> Law:
+    def law(self, response: str, predictor: str) -> PowerLaw:
         """Return a law, by whole names or their beginnings: ``law("K11", "mass")``.
 
         Raises
@@ -157,7 +157,7 @@ class Cohort(Result):
         x = float(alone.values[0, column])
         return self.predictor(law).predict(x, float(variance), law.pairs.shared_variance)
 
-    def predictor(self, law: Law) -> Predictor:
+    def predictor(self, law: PowerLaw) -> Predictor:
         """Return the predictive distribution of a law, computed once."""
         key = (law.response, law.predictor)
         if key not in self._predictors:

@@ -216,7 +216,7 @@ def _quantity(name: str, exponent: float | None, numbers: Sequence[_Number]) -> 
     return Quantity(name, unit, shown, value, sd, own)
 
 
-def ear_frame(ears: Sequence[Ear], failed: Mapping[str, str] | None = None) -> Any:
+def ear_table(ears: Sequence[Ear], failed: Mapping[str, str] | None = None) -> Any:
     """Return a pandas table of cohort.csv, SI: an ear a row, each quantity with its sd, the verdict, and
     what the study states of the ear.
 

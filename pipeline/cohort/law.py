@@ -221,7 +221,7 @@ class Profile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Law:
+class PowerLaw:
     """ln y = a + b ln x + scatter, from the ears of a cohort.
 
     Attributes
@@ -295,12 +295,12 @@ class Law:
         }
 
 
-def fit_law(pairs: LogPairs, level: float = 0.95) -> tuple[Law, Profile]:
+def fit_law(pairs: LogPairs, level: float = 0.95) -> tuple[PowerLaw, Profile]:
     """Estimate the exponent by restricted likelihood, its interval by the profile, its scatter by Q.
 
     Returns
     -------
-    law : Law
+    law : PowerLaw
     profile : Profile
         Of the ears about their means.
 
@@ -326,7 +326,7 @@ def fit_law(pairs: LogPairs, level: float = 0.95) -> tuple[Law, Profile]:
     mean = profile.likelihood.means(profile.best)[1][0] + origin
     error = float(np.median(pairs.own[:, 0, 0]))
     rho = float(profile.likelihood.correlation(profile.best[None])[0])
-    law = Law(
+    law = PowerLaw(
         n=pairs.n,
         exponent=b,
         interval=(profile.side(-1.0, limit), profile.side(1.0, limit)),

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from pipeline.cohort.components import Components, independent_parameters
-from pipeline.cohort.law import Law, fit_law
+from pipeline.cohort.law import PowerLaw, fit_law
 from pipeline.cohort.logs import LogTable, full_name
 from pipeline.cohort.predict import left_out
 from stapeskit.faults import Fault, raise_all
@@ -26,7 +26,7 @@ LEAST_EARS = 5
 """A law has four unknowns besides the mean of x: with five ears one degree of freedom more than none."""
 
 
-def fit_laws(table: LogTable, planned: Sequence[str] = ()) -> tuple[Law, ...]:
+def fit_laws(table: LogTable, planned: Sequence[str] = ()) -> tuple[PowerLaw, ...]:
     """Fit all laws: the planned family first, each with its false discovery rates (Benjamini, Hochberg 1995).
 
     Parameters
@@ -43,7 +43,7 @@ def fit_laws(table: LogTable, planned: Sequence[str] = ()) -> tuple[Law, ...]:
 
     wanted = planned_laws(table.responses, table.predictors, planned)
     fitted = [_fitted(table, *names, names in wanted) for names in product(table.responses, table.predictors)]
-    laws = list[Law]()
+    laws = list[PowerLaw]()
     for family in ("primary", "exploratory"):
         members = [law for law in fitted if law is not None and law.family == family]
         rates = false_discovery_control([min(law.p_value, 1.0) for law in members]) if members else []
@@ -77,7 +77,7 @@ def planned_laws(
     return family
 
 
-def _fitted(table: LogTable, response: str, predictor: str, planned: bool) -> Law | None:
+def _fitted(table: LogTable, response: str, predictor: str, planned: bool) -> PowerLaw | None:
     """Fit one law; None where too few ears have both quantities or the predictor is the same in all."""
     pairs = table.pairs(response, predictor)
     if pairs.n < LEAST_EARS:
@@ -106,7 +106,7 @@ def components_of(table: LogTable) -> Components | None:
     return independent_parameters(values, table.own[keep][:, columns][:, :, columns])
 
 
-def unresolved(laws: Sequence[Law]) -> list[Notice]:
+def unresolved(laws: Sequence[PowerLaw]) -> list[Notice]:
     """Return a warning about planned laws that the data cannot settle."""
     names = [f"{law.response} ~ {law.predictor}" for law in laws if law.family == "primary" and law.unbounded]
     text = (

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.cohort.cohort import Cohort
-from pipeline.cohort.ears import Ear, Quantity, common_damping_exponent, ear_frame, quantities, unique_names
-from pipeline.cohort.law import Law
+from pipeline.cohort.ears import Ear, Quantity, common_damping_exponent, ear_table, quantities, unique_names
+from pipeline.cohort.law import PowerLaw
 from stapeskit.report import page
 from stapeskit.report.figures import panels, plain, style
 from stapeskit.report.quantities import (
@@ -59,7 +59,7 @@ def write_cohort(
     from stapeskit.provenance import record
 
     content = cohort.as_json(record(inputs or {}, parameters))
-    ear_frame(cohort.ears, failed).to_csv(folder / FILES[0], index=False, lineterminator="\n")
+    ear_table(cohort.ears, failed).to_csv(folder / FILES[0], index=False, lineterminator="\n")
     (folder / FILES[1]).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     cohort_page(cohort, failed or {}).write(folder / FILES[2])
 
@@ -98,7 +98,7 @@ def cohort_page(cohort: Cohort, failed: Mapping[str, str]) -> page.Page:
 _LAW_HEAD = ("law", "exponent", "95 %", "p", "q", "scatter (ln)", "95 %", "prediction error (ln)", "ears")
 
 
-def _law_row(law: Law) -> tuple[object, ...]:
+def _law_row(law: PowerLaw) -> tuple[object, ...]:
     return (
         f"{law.response} ~ {_PREDICTORS[law.predictor][0]}",
         f"{law.exponent:.2f}",
@@ -120,7 +120,7 @@ def _response_unit(response: str, ears: Sequence[Ear]) -> ShownUnit:
     return diagonal_unit(response[0], dof[int(response[1]) - 1], common_damping_exponent(ears))
 
 
-def laws_figure(cohort: Cohort, laws: Sequence[Law]) -> Figure:
+def laws_figure(cohort: Cohort, laws: Sequence[PowerLaw]) -> Figure:
     """Draw one panel for each law: ears with their own errors, the law, and the band of further ears."""
     with style():
         drawing, grid = panels(-(-max(len(laws), 1) // _COLUMNS), _COLUMNS, height=3.0)
@@ -131,7 +131,7 @@ def laws_figure(cohort: Cohort, laws: Sequence[Law]) -> Figure:
     return drawing
 
 
-def _draw_law(panel: Any, cohort: Cohort, law: Law) -> None:
+def _draw_law(panel: Any, cohort: Cohort, law: PowerLaw) -> None:
     words, predictor_unit = _PREDICTORS[law.predictor]
     pairs, predictor = law.pairs, cohort.predictor(law)
     unit = _response_unit(law.response, cohort.ears)

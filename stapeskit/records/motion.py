@@ -76,7 +76,7 @@ def write_motion_mat(path: Path, motion: RigidMotion) -> None:
     savemat(path, {name: value for name, value in content.items() if value is not None})
 
 
-def motion_frame(motion: RigidMotion) -> DataFrame:
+def motion_table(motion: RigidMotion) -> DataFrame:
     """Return the rows of all determined lines: run, body, frequency, q, sd, chi2 and n_dof."""
     import pandas as pd
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.cohort.cohort import cohort, cohort_of
-from pipeline.cohort.ears import ear_frame, quantities, read_ear
+from pipeline.cohort.ears import ear_table, quantities, read_ear
 from pipeline.cohort.laws import LEAST_EARS
 from pipeline.cohort.page import FILES
 from stapeskit.faults import StapeskitError
@@ -89,7 +89,7 @@ def test_what_a_study_states_of_an_ear_is_a_column(ears):
         replace(one, about={**one.about, "storage_days": float(k), "verdict": "mine"})
         for k, one in enumerate(ears[:3])
     ]
-    table = ear_frame([*known, ears[4]], {"lost": "no scan"})
+    table = ear_table([*known, ears[4]], {"lost": "no scan"})
     assert table["subject"].tolist()[:4] == ["s0", "s1", "s2", "s4"]
     assert table["storage_days"].tolist()[:3] == [0.0, 1.0, 2.0]
     assert table["stated_verdict"].tolist()[:3] == ["mine"] * 3

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fitting.entries import join, names, sizes, split
-from fitting.laws import LAWS, Law
+from fitting.laws import LAWS, DampingLaw
 from fitting.model import modes, moved_eigenvalues, passive, principal_axes, simulate
 from tests.fit.fit_cases import D, K, M
 
@@ -44,13 +44,13 @@ def test_one_degree_of_freedom_is_the_oscillator():
 
 def test_hysteretic_eigenvalue_in_closed_form():
     mass, stiffness, loss = 3e-6, 1500.0, 0.3
-    found = modes([[mass]], [[stiffness]], [[loss * stiffness]], Law("hysteretic")).pairs[0]
+    found = modes([[mass]], [[stiffness]], [[loss * stiffness]], DampingLaw("hysteretic")).pairs[0]
     assert found.eigenvalue**2 == pytest.approx(-(stiffness / mass) * (1.0 + 1j * loss), rel=1e-9)
 
 
 def test_fractional_and_relaxation_with_their_viscous_limit():
     viscous = modes(M, K, D)
-    for law in (Law("fractional", 1.0), Law("relaxation", 1e-12)):
+    for law in (DampingLaw("fractional", 1.0), DampingLaw("relaxation", 1e-12)):
         found = modes(M, K, D, law)
         assert [mode.eigenvalue for mode in found.pairs] == pytest.approx(
             [mode.eigenvalue for mode in viscous.pairs], rel=1e-6
@@ -59,7 +59,7 @@ def test_fractional_and_relaxation_with_their_viscous_limit():
 
 @pytest.mark.parametrize("name", list(LAWS))
 def test_eigenvalues_solve_their_equation_under_every_law(name):
-    law = Law(name, {"fractional": 0.6, "relaxation": 3e-5}.get(name, 0.0))
+    law = DampingLaw(name, {"fractional": 0.6, "relaxation": 3e-5}.get(name, 0.0))
     damping = D * (2.0 * np.pi * 2700.0) ** (1.0 - law.time_power)
     for mode in modes(M, K, damping, law).pairs:
         value = mode.eigenvalue
@@ -74,7 +74,7 @@ def test_eigenvalues_near_by_are_those_of_each_model():
     rng = np.random.default_rng(0)
     factors = 1.0 + 0.05 * rng.standard_normal(20)
     stack = np.tile(M, (20, 1, 1))
-    for law in (Law(), Law("hysteretic")):
+    for law in (DampingLaw(), DampingLaw("hysteretic")):
         damping = D * (2.0 * np.pi * 2700.0) ** (1.0 - law.time_power)
         middle = modes(M, K, damping, law)
         values, _ = moved_eigenvalues(

@@ -17,7 +17,7 @@ from kinematics.companions import with_companions
 from kinematics.options import MotionFiles, MotionOptions
 from kinematics.place.fiducials import read_fiducials
 from kinematics.points2dof import check_inputs
-from kinematics.report.page import motion_page, motion_sections, verdict_of
+from kinematics.report.page import motion_page, motion_sections, motion_verdict
 from kinematics.results import ENDINGS
 from stapeskit.command_line import parse
 from stapeskit.faults import StapeskitError
@@ -148,10 +148,10 @@ def test_sections_go_into_any_page(ear):
 
 
 def test_the_verdict_of_the_page_is_that_of_the_worst_warning():
-    assert verdict_of(())[0] == "believe"
-    assert verdict_of([Notice("noise_estimated", "")])[0] == "believe"
-    assert verdict_of([Notice("noise_estimated", ""), Notice("channel_gain", "")])[0] == "check"
-    assert verdict_of([Notice("channel_gain", ""), Notice("phase_convention", "")])[0] == "do not use"
+    assert motion_verdict(())[0] == "believe"
+    assert motion_verdict([Notice("noise_estimated", "")])[0] == "believe"
+    assert motion_verdict([Notice("noise_estimated", ""), Notice("channel_gain", "")])[0] == "check"
+    assert motion_verdict([Notice("channel_gain", ""), Notice("phase_convention", "")])[0] == "do not use"
 
 
 def test_write_and_write_into_write_the_same_files(ear, tmp_path):
