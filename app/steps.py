@@ -112,7 +112,7 @@ def points(study: StudyFile) -> None:
     """Lay the measurement into the scan, and look at every beam."""
     from kinematics.options import MotionOptions
     from kinematics.points2dof import measure_motion
-    from stapeskit.records.mass import read_mass_json
+    from stapeskit.records.mass_file import read_mass_json
 
     folder = mass_folder(study)
     mass = None if folder is None else read_mass_json(folder / MASS)

@@ -34,8 +34,8 @@ from kinematics.readers.points import read_points
 from pipeline.study import read_study
 from simulate import Ear, Experiment, Scan, Stapes, simulate_study, write_scan
 from stapeskit.faults import StapeskitError
-from stapeskit.records.mass import read_mass_json
-from stapeskit.records.motion import read_motion
+from stapeskit.records.mass_file import read_mass_json
+from stapeskit.records.motion_file import read_motion
 from tests.motion_files.written_files import OTHERS
 from tests.motion_files.written_files import WRITERS as RECORDINGS
 from tests.scan_files.scan_cases import CASES as SCANS

@@ -11,7 +11,7 @@ from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 
 VOLUME_PARAMETERS = ("V", "Vx", "Vy", "Vz", "Jxx", "Jyy", "Jzz", "Jxy", "Jyz", "Jxz")
-"""The inertial parameters of a body of density 1 kg/m3, in the order of `stapeskit.records.mass`."""
+"""The inertial parameters of a body of density 1 kg/m3, in the order of `stapeskit.records.mass_file`."""
 
 _UPPER = (np.array([0, 1, 2, 0, 1, 0]), np.array([0, 1, 2, 1, 2, 2]))
 """Row and column of the six second moments xx, yy, zz, xy, yz, xz."""

@@ -16,7 +16,7 @@ from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.spatial import DOF_NAMES
 
 if TYPE_CHECKING:
-    from stapeskit.records.motion import RigidMotion
+    from stapeskit.records.motion_file import RigidMotion
 
 # Digits that files keep: a motion is known to no better than this share of its root mean square.
 NOISE_FLOOR = 1e-8

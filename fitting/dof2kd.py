@@ -23,10 +23,10 @@ from stapeskit.command import no_progress
 from stapeskit.faults import StapeskitError
 from stapeskit.options import with_options
 from stapeskit.provenance import document_hash, frames_hash, record
-from stapeskit.records.mass import HasMass, MassInput, read_mass
+from stapeskit.records.mass_file import HasMass, MassInput, read_mass
 from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.records.mass_record import MassRecord
-from stapeskit.records.motion import RigidMotion, read_motion
+from stapeskit.records.motion_file import RigidMotion, read_motion
 from stapeskit.warnings import Notice, unique
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from fitting.model import simulate
 from fitting.plane import INPLANE_DOF, PISTON_DOF
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import cross_matrix
-from stapeskit.records.motion import RigidMotion, SharedErrors
+from stapeskit.records.motion_file import RigidMotion, SharedErrors
 from stapeskit.spatial import DOF_NAMES, point_rows, shifted_point_rows
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from stapeskit.spatial import DOF_NAMES, dof_indices, matrix_from_parameters, pa
 
 if TYPE_CHECKING:
     from fitting.data import Data
-    from stapeskit.records.motion import RigidMotion, SharedErrors
+    from stapeskit.records.motion_file import RigidMotion, SharedErrors
 
 # A recorded change grows with frequency where that leaves less than this share of what a constant map leaves:
 # noise of readings leaves all of it, a delay less than a hundredth.

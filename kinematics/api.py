@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from kinematics.options import NONE, MotionOptions
 from kinematics.results import MotionResult
 from stapeskit.options import with_options
-from stapeskit.records.mass import MassInput, read_mass
+from stapeskit.records.mass_file import MassInput, read_mass
 
 if TYPE_CHECKING:
     from kinematics.readers.recording import Recording

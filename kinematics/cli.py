@@ -52,7 +52,7 @@ def work(words: Sequence[str]) -> Outcome:
     from kinematics.companions import with_companions
     from kinematics.points2dof import measure_motion
     from kinematics.results import output_set
-    from stapeskit.records.mass import read_mass_json
+    from stapeskit.records.mass_file import read_mass_json
 
     found = with_companions(options, files.mass)
     inputs = [*found.options.inputs().values(), *([found.mass] if found.mass else [])]

@@ -19,7 +19,7 @@ from kinematics.place.surfaces import Surface
 from kinematics.repeats import RepeatedRun
 from stapeskit.outputs import Outputs
 from stapeskit.records.mass_record import MassRecord
-from stapeskit.records.motion import motion_table, write_motion, write_motion_mat
+from stapeskit.records.motion_file import motion_table, write_motion, write_motion_mat
 from stapeskit.records.rigid_motion import RigidMotion
 from stapeskit.results import Result
 from stapeskit.warnings import Notice

@@ -106,7 +106,7 @@ def compare(first: Path, second: Path) -> Comparison:
 
 
 def _motion(folder: Path) -> RigidMotion | None:
-    from stapeskit.records.motion import read_motion
+    from stapeskit.records.motion_file import read_motion
 
     path = Path(folder) / "dof.h5"
     return read_motion(path) if path.is_file() else None

@@ -19,7 +19,7 @@ from stapeskit.command import no_progress
 from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
 from stapeskit.outputs import Outputs
 from stapeskit.provenance import record, sha256, versions
-from stapeskit.records.mass import read_mass_json
+from stapeskit.records.mass_file import read_mass_json
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.results import Result
 from stapeskit.warnings import Notice, once

@@ -14,7 +14,7 @@ from ct_inertia.mass.properties import point_masses
 from ct_inertia.mass.sizes import comparisons, measured_sizes
 from stapeskit.arrays import Array
 from stapeskit.provenance import document_hash, record
-from stapeskit.records.mass import mass_json, mass_record
+from stapeskit.records.mass_file import mass_json, mass_record
 from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.spatial import parameter_basis
 

@@ -11,7 +11,7 @@ import numpy as np
 
 import stapeskit as sk
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.records.motion import RigidMotion
+from stapeskit.records.motion_file import RigidMotion
 
 YOUNG_PA, HEIGHT_M, WIDTH_M, LENGTH_M = 210e9, 0.81e-3, 10e-3, 48e-3
 STEEL_KG_M3, CUBE_M = 7850.0, 10e-3

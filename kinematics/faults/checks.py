@@ -22,7 +22,7 @@ SLOWEST, FASTEST = 1e-6, 20e-3
 """Velocity amplitudes of ears in experiments, m/s: 0.05 to 0.2 mm/s for each Pa at the stapes (Chien et al.
 2009, doi:10.1016/j.heares.2008.11.011), at 50 to 130 dB (SPL)."""
 _LARGEST_RATIO = 100.0  # between bodies: a resonance makes ten, in the median of a band not hundreds
-_LEAST_VALUES = 50  # fewer say too little of a distribution
+LEAST_VALUES = 50  # fewer say too little of a distribution
 _WIDE_BAND = 2.0  # last over first frequency from which damping turns the phase by more than pi degrees
 _DECIBELS = (20.0, 200.0)
 _SAMPLE = 100_000  # values looked at
@@ -194,7 +194,7 @@ def radians(measurement: Measurement) -> Iterator[Notice]:
     wide = measurement.freq_hz[-1] > _WIDE_BAND * measurement.freq_hz[0]
     for body in measurement.bodies if wide else ():
         phase = np.abs(np.rad2deg(np.angle(_known(body))))
-        if phase.size > _LEAST_VALUES and 1.0 < float(np.max(phase)) <= np.pi * (1 + 1e-6):
+        if phase.size > LEAST_VALUES and 1.0 < float(np.max(phase)) <= np.pi * (1 + 1e-6):
             text = f"all phases of body {body.body} lie within 3.1416 degrees"
             yield _unit_slip(text, "They look like radians in a column of degrees")
 
@@ -203,7 +203,7 @@ def decibels(measurement: Measurement) -> Iterator[Notice]:
     """Look whether amplitudes are all decibels: all within 20 to 200, in any unit of a header."""
     for body in measurement.bodies:
         size = np.abs(_known(body))
-        for unit in (1.0, 1e-3, 1e-6, 1e-9) if size.size > _LEAST_VALUES else ():
+        for unit in (1.0, 1e-3, 1e-6, 1e-9) if size.size > LEAST_VALUES else ():
             low, high = float(np.min(size)) / unit, float(np.max(size)) / unit
             if _DECIBELS[0] < low and high < min(_DECIBELS[1], 3.0 * low):
                 text = f"all amplitudes of body {body.body} lie between {low:.3g} and {high:.3g} of one unit"

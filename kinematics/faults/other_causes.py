@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kinematics.faults.checks import LEAST_VALUES
 from kinematics.faults.rounds import Round
 from kinematics.faults.scores import pattern_gain
 from kinematics.faults.unstated_noise import line_residuals
@@ -21,7 +22,6 @@ _LOUD_LINE = 5.0  # median square of a line over that of most
 _MOST_LOUD = 0.2  # share of lines up to which they are some
 _ONE_CHANNEL = 0.4  # share of a line's squares in one channel: a value far off, not a loud line
 _LONGEST = 3  # lines of a stretch, in the mean: a body that bends does so over a band
-_LEAST_VALUES = 50  # fewer say too little of a distribution
 _MAINS_HZ, _NEAR_MAINS_HZ = (50.0, 60.0), 0.5
 _LEAST_GAIN = 10.0  # log likelihood that a scatter must gain: odds of 20 000
 _IN_ORDER = 0.8  # rank correlation with the order of the file
@@ -46,7 +46,7 @@ def other_causes(now: Round) -> list[Cause]:
         return found
     lines = line_residuals(now.readings, now.state)
     squares = np.abs(lines.scaled) ** 2 / np.maximum(lines.own, 0.05)[:, None]
-    if np.count_nonzero(np.isfinite(squares)) < _LEAST_VALUES:
+    if np.count_nonzero(np.isfinite(squares)) < LEAST_VALUES:
         return []
     return _loud_lines(now.readings.freq_hz, squares) or _single_values(squares)
 

@@ -22,7 +22,7 @@ UNITS = {
 """Changes of scale (3, 3) that mistakes make, by their words."""
 
 _CURED_SHARE = calibrated("handedness.cured_share")
-_LEAST_FREEDOM = 20
+_LEAST_FREEDOM_OF_FIT = 20  # fewer say too little of a misfit
 _LEAST_SHIFTED = 3  # points in the wrong row: two are an exchange
 
 
@@ -139,12 +139,12 @@ class _Misfit:
     def is_small(self) -> bool:
         """Return whether there is no misfit, or too little to judge it by."""
         least = self.freedom + np.sqrt(2.0 * self.freedom) / _CURED_SHARE
-        return bool(self.freedom < _LEAST_FREEDOM or self.energy < least)
+        return bool(self.freedom < _LEAST_FREEDOM_OF_FIT or self.energy < least)
 
     def cures(self, before: _Misfit) -> bool:
         """Return whether this is a tenth of the misfit before."""
         left = max(self.energy - self.freedom, np.sqrt(2.0 * self.freedom))
-        enough = self.freedom >= _LEAST_FREEDOM
+        enough = self.freedom >= _LEAST_FREEDOM_OF_FIT
         return bool(enough and left <= _CURED_SHARE * (before.energy - before.freedom))
 
     def words(self, before: _Misfit) -> str:

@@ -18,7 +18,7 @@ from pipeline.cohort.laws import LEAST_EARS, components_of, fit_laws, unresolved
 from pipeline.cohort.logs import LogTable, full_name, log_table
 from pipeline.cohort.predict import Prediction, Predictor
 from stapeskit.faults import StapeskitError, raise_all
-from stapeskit.records.mass import read_mass
+from stapeskit.records.mass_file import read_mass
 from stapeskit.results import Result
 from stapeskit.warnings import Notice, unique
 

@@ -24,7 +24,7 @@ from simulate.ligament import (
     stapes_motion,
 )
 from stapeskit.records.mass_matrix import MassMatrix
-from stapeskit.records.motion import RigidMotion, SharedErrors
+from stapeskit.records.motion_file import RigidMotion, SharedErrors
 from stapeskit.spatial import DOF_NAMES, matrix_from_parameters
 
 K, D = PAPER_STIFFNESS, PAPER_DAMPING

@@ -24,7 +24,7 @@ from fitting.exports import (
     prior_json,
 )
 from stapeskit.faults import StapeskitError
-from stapeskit.records.motion import write_motion
+from stapeskit.records.motion_file import write_motion
 from tests.fit.fit_cases import M, fit, paper_motion
 
 

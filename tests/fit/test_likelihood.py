@@ -16,7 +16,7 @@ from fitting.solve import fit as solve
 from fitting.unknowns import UNKNOWNS
 from simulate.ligament import ring_ligament
 from stapeskit.records.mass_matrix import MassMatrix
-from stapeskit.records.motion import SharedErrors
+from stapeskit.records.motion_file import SharedErrors
 from stapeskit.spatial import DOF_NAMES
 from tests.fit.fit_cases import (
     BASE,

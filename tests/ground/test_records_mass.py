@@ -13,7 +13,7 @@ import pytest
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform, rotation_from_vector
 from stapeskit.provenance import document_hash, frames_hash
-from stapeskit.records.mass import Reader, mass_json, mass_record, read_mass, read_mass_json
+from stapeskit.records.mass_file import Reader, mass_json, mass_record, read_mass, read_mass_json
 from stapeskit.records.mass_matrix import MassMatrix, frame_derivative, parameter_transfer
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.spatial import matrix_from_parameters, twist_transfer

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from stapeskit.faults import StapeskitError
-from stapeskit.records import motion as motion_files
-from stapeskit.records.motion import RigidMotion, SharedErrors, motion_columns, read_motion, write_motion
+from stapeskit.records import motion_file
+from stapeskit.records.motion_file import RigidMotion, SharedErrors, motion_columns, read_motion, write_motion
 from stapeskit.warnings import Notice
 
 DOF = ("y", "alpha", "gamma")
@@ -244,6 +244,6 @@ def test_a_library_that_hangs_is_refused(tmp_path, motion, monkeypatch):
         while True:
             pass
 
-    monkeypatch.setattr(motion_files, "_motion_from_h5", spin)
+    monkeypatch.setattr(motion_file, "_motion_from_h5", spin)
     monkeypatch.setattr("stapeskit.sandbox.processor_limit_s", lambda _: 0.1)
     assert the_faults(path)[0][2] == "dof.h5"

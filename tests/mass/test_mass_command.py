@@ -24,7 +24,7 @@ from ct_inertia.scan.open_scan import open_labels
 from ct_inertia.surface.surface import Surface
 from simulate import Ear, Scan, Stapes, simulate_study, stapes_solid
 from stapeskit.faults import StapeskitError
-from stapeskit.records.mass import read_mass, read_mass_json
+from stapeskit.records.mass_file import read_mass, read_mass_json
 from stapeskit.registration import displacement
 from stapeskit.sandbox import Session
 from stapeskit.warnings import table

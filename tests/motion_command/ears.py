@@ -13,7 +13,7 @@ from kinematics.options import MotionOptions
 from kinematics.points2dof import measure_motion
 from simulate import Ear, Experiment, Truth, simulate_study
 from stapeskit.frames import RigidTransform
-from stapeskit.records.mass import mass_json
+from stapeskit.records.mass_file import mass_json
 from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.spatial import dof_indices

@@ -23,7 +23,7 @@ from stapeskit.command_line import parse
 from stapeskit.faults import StapeskitError
 from stapeskit.options import template
 from stapeskit.provenance import frames_hash, input_record
-from stapeskit.records.motion import read_motion, write_motion
+from stapeskit.records.motion_file import read_motion, write_motion
 from stapeskit.report.page import Page
 from stapeskit.warnings import Notice
 from tests.motion_command.ears import error_in_sd, mass_of, measured, options, rewrite, simulated, write_mass

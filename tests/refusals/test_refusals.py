@@ -17,7 +17,7 @@ import pytest
 
 from simulate import Ear, Experiment, Scan, motion_of, simulate_study
 from stapeskit.faults import Fault, Place, StapeskitError
-from stapeskit.records.motion import write_motion
+from stapeskit.records.motion_file import write_motion
 
 ROWS = tomllib.loads(Path(__file__).with_name("refusals.toml").read_text(encoding="utf-8"))
 COMMANDS = {

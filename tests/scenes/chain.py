@@ -15,7 +15,7 @@ from scipy.special import chdtri
 from simulate import Truth, motion_of, simulate_study, write_labels
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
-from stapeskit.records.motion import read_motion, write_motion
+from stapeskit.records.motion_file import read_motion, write_motion
 from stapeskit.records.rigid_motion import RigidMotion
 from stapeskit.spatial import dof_indices, parameters_from_matrix
 from tests.scenes.scenes import Scene

@@ -13,7 +13,7 @@ import fitting.cli
 import kinematics.cli
 from fitting.plan import read_plan, stated_mass
 from fitting.planned_motion import planned_motion, six_dof_matrices
-from stapeskit.records.motion import read_motion, write_motion
+from stapeskit.records.motion_file import read_motion, write_motion
 
 SHARED = Path(__file__).parents[3] / "shared" / "data" / "virtual_point"
 
