@@ -181,9 +181,9 @@ class MassOptions(Options):
     ] = None
     mirror: Annotated[
         Literal["x", "y", "z"] | None,
-        Opt("reverse the voxels along an axis: undoes a mirror image", _READING, "z"),
+        Opt("reverse an axis: undoes a mirror image", _READING, "z"),
     ] = None
-    nan_as_air: Annotated[Flag, Opt("let voxels that are not finite count as air", _READING)] = False
+    nan_as_air: Annotated[Flag, Opt("count voxels that are not finite as air", _READING)] = False
     shape: Annotated[
         Voxels | None,
         Opt("voxels of a file without a header; x runs fastest", _READING, [512, 512, 600]),
@@ -193,21 +193,25 @@ class MassOptions(Options):
         Opt("type of its voxels", _READING, "uint16"),
     ] = None
     byte_order: Annotated[
-        Literal["little", "big"] | None, Opt("order of the bytes of a voxel (little)", _READING, "little")
+        Literal["little", "big"] | None,
+        Opt("order of its bytes; default little", _READING, "little"),
     ] = None
-    header_bytes: Annotated[CountOrZero | None, Opt("bytes before its first voxel (0)", _READING, 0)] = None
+    header_bytes: Annotated[CountOrZero | None, Opt("bytes before its voxels; default 0", _READING, 0)] = None
     close: Annotated[Flag, Opt("close the holes of a surface mesh", _READING)] = False
     density_kg_m3: Annotated[
         PositiveWithSd | None,
         Opt(
-            f"density of the bone, kg/m3 ({ASSUMED_DENSITY} is assumed)", _MASS, "1900+-60", recommended=True
+            f"density of bone, kg/m3; default {ASSUMED_DENSITY}, with a warning",
+            _MASS,
+            "1900+-60",
+            recommended=True,
         ),
     ] = None
     mass_mg: Annotated[
         PositiveWithSd | None, Opt("mass of the stapes alone, mg, from a balance", _MASS, "3.1+-0.05")
     ] = None
     calibration: Annotated[
-        ReadFile | None, Opt("grey value to density: TOML, see below", _MASS, "calibration.toml")
+        ReadFile | None, Opt("grey value to density (TOML)", _MASS, "calibration.toml")
     ] = None
     add_mass: Annotated[
         Masses,
@@ -220,10 +224,10 @@ class MassOptions(Options):
         ReadFile | None, Opt("label volume; never written over", _FINDING, "labels.seg.nrrd")
     ] = None
     stapes_label: Annotated[
-        Count | None, Opt("number of the stapes in it (segment named stapes, else 1)", _FINDING, 1)
+        Count | None, Opt("number of the stapes in it; default segment named stapes, else 1", _FINDING, 1)
     ] = None
     plate_label: Annotated[
-        Count | None, Opt("number of the plate in it (segment named plate, else 2)", _FINDING, 2)
+        Count | None, Opt("number of the plate in it; default segment named plate, else 2", _FINDING, 2)
     ] = None
     threshold: Annotated[Number | None, Opt("grey value between air and bone", _FINDING, 12000)] = None
     seed_mm: Annotated[Point | None, Opt("a point inside the stapes, scan mm", _FINDING, [4.1, 5.0, 3.2])] = (
@@ -234,12 +238,12 @@ class MassOptions(Options):
     ] = None
     coat_um: Annotated[
         ZeroOrWithSd | None,
-        Opt("mucosa on the bone, um, to be subtracted; 0 for cleaned bone", _FINDING, "35+-12"),
+        Opt("mucosa to be subtracted, um; 0 for cleaned bone", _FINDING, "35+-12"),
     ] = None
     anterior: Annotated[
         Direction | None,
         Opt(
-            "direction towards anterior in scan axes; only its sign along the footplate is used",
+            "direction towards anterior, scan axes; only its sign along the footplate counts",
             _FRAMES,
             [-0.9, 0.1, 0.0],
             recommended=True,

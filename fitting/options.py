@@ -35,7 +35,7 @@ DAMPING = {
 
 UNKNOWN_NAMES = (
     *("delay", "phase", "gain", "fluid", "head_mass", "centre_x", "centre_y", "centre_z", "inertia"),
-    *("mirrored", "drift", "level"),
+    *("mirrored", "drift", "nonlinear"),
 )
 """Names of the entries of `unknowns.UNKNOWNS`, which a user may free or fix."""
 
@@ -85,7 +85,7 @@ class KDOptions(Options):
             recommended=True,
         ),
     ] = "ml"
-    robust: Annotated[Literal["none", "t4"], Opt("t4: outlying lines have little weight (Student's t)")] = (
+    robust: Annotated[Literal["none", "t4"], Opt("t4: little weight for outlying lines (Student's t)")] = (
         "none"
     )
     damping: Annotated[
@@ -96,16 +96,16 @@ class KDOptions(Options):
     inplane: Annotated[
         Literal["auto", "load", "ignore"],
         Opt(
-            "measured motion outside --dof; auto: the plane of the ligament is estimated with K and D where "
-            "motion and "
-            "mass have six degrees of freedom, else a load; load: a known inertial load; ignore: left out"
+            "measured motion outside --dof; auto: plane of the ligament, estimated with K and D, where "
+            "motion and mass have six degrees of freedom, else load; load: known inertial load"
+            "; ignore: left out"
         ),
     ] = "auto"
     unknowns: Annotated[
         Words,
         Opt(
-            f"what is estimated with K and D whatever the data say, out of {_NAMES}; name=VALUE "
-            "fixes one; none: nothing is added by evidence",
+            f"estimated with K and D whatever the data say: {_NAMES}; name=VALUE fixes one; "
+            "none: nothing is added by evidence",
             example=["fluid"],
         ),
     ] = ()
@@ -116,12 +116,12 @@ class KDOptions(Options):
     mass_sign: Annotated[
         Literal["assumed", "tensor", "positive"],
         Opt(
-            "mixed rotational entries of a plain M.csv; tensor: elements of the inertia tensor; positive: "
-            "products of inertia, + integral x z dm; assumed: tensor, with a warning"
+            "products of inertia in a plain M.csv; tensor: elements of the inertia tensor; positive: + "
+            "integral x z dm; assumed: tensor, with a warning"
         ),
     ] = "assumed"
     monte_carlo: Annotated[
-        CountOrZero, Opt("check the intervals by so many refits of simulated repetitions", example=200)
+        CountOrZero, Opt("check the intervals by N simulated repetitions", example=200)
     ] = 0
     lower: Annotated[
         Table | None, Opt("lower bounds of entries, SI, in a file", _BOUNDED, {"K11": 100.0})
@@ -216,7 +216,7 @@ class KDFiles(Options):
     ] = None
     mass: Annotated[
         ReadFile | None,
-        Opt("mass.json of ct2mass, or M.csv; left out: the one next to the motion", example="mass.json"),
+        Opt("mass.json of ct2mass, or M.csv; default mass.json beside the motion", example="mass.json"),
     ] = None
     plan: Annotated[ReadFile | None, Opt("a planned measurement: what it can reach", example="plan.toml")] = (
         None

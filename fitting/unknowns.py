@@ -159,7 +159,7 @@ def _step(line: int, data: Data) -> Array:
     return np.asarray(after - after.mean())
 
 
-def _level(data: Data) -> Array:
+def _squared_deflection(data: Data) -> Array:
     """Return the squared piston deflection over its mean, less one."""
     piston, m = data.rows[0], len(data.measured)
     square = np.abs(data.y[:, piston] - data.y[:, m + piston]) ** 2
@@ -207,7 +207,7 @@ UNKNOWNS: dict[str, Unknown] = {
         ),
         *_OF_MASS,
         _of_ligament("drift", "a ligament that stiffens over the measurement", _time),
-        _of_ligament("level", "a stiffness that depends on the amplitude", _level),
+        _of_ligament("nonlinear", "a stiffness that depends on the amplitude", _squared_deflection),
     )
 }  # fmt: skip
 """By name. ``--unknowns`` takes them; places of steps and resonances are added from the data."""

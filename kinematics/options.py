@@ -110,8 +110,8 @@ class MotionOptions(Options):
     points: Annotated[
         FileOrNone | None,
         Opt(
-            "bodies and positions of the points: body, point, x_mm, y_mm, z_mm [, sd_mm] (points.csv "
-            "beside LDV)",
+            "bodies and positions of the points: body, point, x_mm, y_mm, z_mm [, sd_mm]; default "
+            "points.csv beside LDV",
             example="points.csv",
             recommended=True,
         ),
@@ -122,20 +122,18 @@ class MotionOptions(Options):
     leave_out: Annotated[
         Texts,
         Opt(
-            "leave a point out, or one of its beams (x, -z ... or X,Y,Z as the page names it); once for each",
+            "leave out a point, or one of its beams (x, -z ... or X,Y,Z as on the page); once for each",
             example=["stapes:3", "base:7:z"],
             repeats=True,
         ),
     ] = ()
-    correct: Annotated[
-        Flag, Opt("correct the faults that are found by their estimates, or leave their channels out")
-    ] = False
+    correct: Annotated[Flag, Opt("correct faults by their estimates, or leave their channels out")] = False
 
     fiducials: Annotated[
         FileOrNone | None,
         Opt(
-            "points that tie vibrometer and scan: name, x_mm, y_mm, z_mm, x_ref_mm, y_ref_mm, z_ref_mm [, "
-            "frame] [, sd_mm] (fiducials.csv beside LDV)",
+            "marks that tie vibrometer and scan: name, x_mm, y_mm, z_mm, x_ref_mm, y_ref_mm, z_ref_mm [, "
+            "frame] [, sd_mm]; default fiducials.csv beside LDV",
             _TIES,
             "fiducials.csv",
             recommended=True,
@@ -143,11 +141,11 @@ class MotionOptions(Options):
     ] = None
     frame: Annotated[
         Literal["footplate", "plate", "scan"] | None,
-        Opt("frame of positions and directions without fiducials (footplate)", _TIES, "footplate"),
+        Opt("frame of positions and directions without fiducials; default footplate", _TIES, "footplate"),
     ] = None
     mirror: Annotated[
         Literal["x", "y", "z"] | None,
-        Opt("reverse this axis (coordinates of the scanner are left-handed)", _TIES, "x"),
+        Opt("reverse this axis of left-handed coordinates", _TIES, "x"),
     ] = None
 
     calibrate: Annotated[
@@ -155,15 +153,9 @@ class MotionOptions(Options):
         Kind,
         Opt("estimate axes, laser directions, gains and positions with the motion, within their sd", _LASERS),
     ] = False
-    gain_sd_percent: Annotated[
-        Percent, Opt("sd of the gain of each laser against the others, percent (0: exact)", _LASERS)
-    ] = 1.0
-    phase_sd_deg: Annotated[
-        Percent, Opt("sd of the phase of each laser against the others, degrees (0: exact)", _LASERS)
-    ] = 0.5
-    delay_sd_us: Annotated[
-        Small, Opt("sd of the delay of each laser against the others, microseconds (0: exact)", _LASERS)
-    ] = 1.0
+    gain_sd_percent: Annotated[Percent, Opt("sd of gains between lasers, percent; 0: exact", _LASERS)] = 1.0
+    phase_sd_deg: Annotated[Small, Opt("sd of phases between lasers, degrees; 0: exact", _LASERS)] = 0.5
+    delay_sd_us: Annotated[Small, Opt("sd of delays between lasers, microseconds; 0: exact", _LASERS)] = 1.0
 
     body: Annotated[
         Rules,
@@ -185,10 +177,11 @@ class MotionOptions(Options):
     ] = ()
     beam: Annotated[Text, Opt("direction towards the laser head: x, -z ... or X,Y,Z", _FILES, "z")] = ""
     amplitude: Annotated[
-        Literal["peak", "rms"] | None, Opt("what amplitudes are (peak, with a warning)", _FILES, "peak")
+        Literal["peak", "rms"] | None,
+        Opt("of amplitudes; default peak, with a warning", _FILES, "peak"),
     ] = None
     length_unit: Annotated[
-        Literal["m", "mm", "um"] | None, Opt("unit of positions (m, with a warning)", _FILES, "mm")
+        Literal["m", "mm", "um"] | None, Opt("unit of positions; default m, with a warning", _FILES, "mm")
     ] = None
     n_avg: Annotated[
         Positive | None, Opt("averages behind each value: with coherence they give its noise", _FILES, 20)
@@ -197,7 +190,7 @@ class MotionOptions(Options):
     channels: Annotated[
         ReadFile | None,
         Opt(
-            "files are time series; which channel is what: channel, role, body, point, dir, unit (CSV)",
+            "of time series: which channel is what: channel, role, body, point, dir, unit (CSV)",
             _SERIES,
             "channels.csv",
         ),
@@ -249,7 +242,7 @@ class MotionFiles(Options):
 
     mass: Annotated[
         FileOrNone | None,
-        Opt("mass.json of ct2mass (mass.json or *_mass/mass.json beside LDV)", example="mass.json"),
+        Opt("mass.json of ct2mass; default mass.json or *_mass/mass.json beside LDV", example="mass.json"),
     ] = None
     out: Annotated[CsvFile, Opt("table of the motion; X.h5, X.channels.csv and X.html beside it")] = Path(
         "dof.csv"

@@ -28,17 +28,19 @@ def options_page() -> str:
     lines = [
         "# Options",
         "",
-        "An option has one name: `--box` on the command line, `box=` in Python, and in a study file "
-        "the same with its unit, `box_mm`, and underscores. Every command also takes `--config FILE.toml` "
-        "(options by name), `--version`, `--json` (print the result as JSON), `--quiet` (print nothing but "
-        "errors) and `--force`: replace files that it did not write; `dof2kd` also uses another mass.json, "
-        "and `scan2kd` repeats every stage. Defaults are in brackets.",
+        "An option has one name: `--box` on the command line, `box=` in Python; a study file adds its unit, "
+        "`box_mm`, and writes underscores. Every command also takes `--config FILE.toml` (options by name), "
+        "`--version`, `--json` (result as JSON), `--quiet` (errors only) and `--force`: replace files that "
+        "it did not write; `dof2kd` also uses another mass.json, `scan2kd` repeats every stage.",
     ]
     for command, tables in COMMANDS.items():
         lines += ["", f"## {command}"]
+        last = ""
         for table in tables:
             where = f"Keys of `[{table.table}]` in a study file:" if table.table else "Not in a study file:"
-            lines += ["", where, "", markdown_table(table, table is not About, COMMON).rstrip()]
+            head, rule, *rows = markdown_table(table, table is not About, COMMON).splitlines()
+            lines += rows if where == last else ["", where, "", head, rule, *rows]
+            last = where
     return "\n".join(lines) + "\n"
 
 

@@ -97,7 +97,7 @@ def _parser(prog: str, text: str, entries: Sequence[Opt], epilog: str) -> argpar
     for entry in entries:
         if entry.group not in groups:
             groups[entry.group] = parser.add_argument_group(entry.group)
-        help_text = entry.help.replace("%", "%%")
+        help_text = entry.meaning.replace("%", "%%")
         if entry.positional:
             nargs = "*" if entry.repeats else "?"
             parser.add_argument(entry.key, nargs=nargs, metavar=entry.flag, help=help_text)

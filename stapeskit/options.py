@@ -81,6 +81,12 @@ class Opt:
         """Whether it takes no value on the command line."""
         return self.annotation is bool
 
+    @property
+    def meaning(self) -> str:
+        """The help with the default."""
+        unset = self.default in (None, False, (), "")
+        return self.help if unset else f"{self.help}; default {on_command_line(_plain(self.default))}"
+
     def fault(self, got: Any, called: str, where: str = "") -> Fault:
         """Return the fault of an unfit value."""
         if isinstance(got, list) and not (where and self.kind.is_path):  # of several, those that are unfit
@@ -339,8 +345,6 @@ def markdown_table(table: type[Options], flags: bool = True, without: Sequence[s
         name = f"`{entry.flag if flags else entry.key}{metavar}`"
         if flags and table.table and entry.key != entry.name:
             name += f", `{entry.key}`"
-        unset = entry.default in (None, False, (), "")
-        default = "" if unset else f" (`{on_command_line(_plain(entry.default))}`)"
-        cells = (name, entry.help + default)
+        cells = (name, entry.meaning)
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(lines) + "\n"
