@@ -14,12 +14,12 @@ from app.steps import LABELS, MASS, Job, mass_folder, read_shown
 from app.study_file import OwnFile, StudyFile
 from ct_inertia.options import ASSUMED_DENSITY
 from ct_inertia.scan.scan import Scan
+from kinematics.readers.text import ENDINGS
 from pipeline.new_study import lacking, look
 from stapeskit.arrays import Array
 from stapeskit.documents import read_json
 from stapeskit.faults import StapeskitError
 
-MEASUREMENTS = (".csv", ".txt", ".uff", ".unv", ".mat", ".h5", ".hdf5", ".svd")
 _DAMAGED = ("the mass of an earlier step", "Remove its folder, and measure again")
 
 
@@ -214,7 +214,7 @@ class Session:
     def files(self) -> list[str]:
         """Return the names of the files that can be a measurement, its points or its fiducials."""
         folder = self.study.path.parent
-        found = [path.name for path in sorted(folder.iterdir()) if path.suffix.lower() in MEASUREMENTS]
+        found = [path.name for path in sorted(folder.iterdir()) if path.suffix.lower() in ENDINGS]
         named = [str(value) for value in self.study.tables.get("ldv", {}).values()]
         return list(dict.fromkeys([*found, *(name for name in named if (folder / name).exists())]))
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ct_inertia.options import ASSUMED_DENSITY
+from kinematics.readers.text import TEXT_ENDINGS
 from stapeskit.faults import StapeskitError
 from stapeskit.options import toml
 from stapeskit.outputs import MANIFEST, Outputs, written_in
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 STUDY = "study.toml"
 SAMPLE = "stapeskit sample"  # writes inputs, not results
-_TEXTS = (".csv", ".txt", ".asc", ".tsv")
 _LOOKED_AT = 1 << 16  # bytes of a text: headers of exports end before
 _VALUE = re.compile(r"(?<![\w.])[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?(?![\w])")
 Ask = Callable[[str], str]
@@ -93,7 +93,7 @@ def _holds_slices(folder: Path) -> bool:
 
 def _holds_values(path: Path) -> bool:
     """Return whether a file may hold a measurement: a text of notes has no lines of numbers."""
-    if path.suffix.lower() not in _TEXTS:
+    if path.suffix.lower() not in TEXT_ENDINGS:
         return path.stat().st_size > 0
     beginning = path.read_bytes()[:_LOOKED_AT].replace(b"\0", b"").decode("latin-1")
     rows = [line for line in beginning.splitlines() if len(_VALUE.findall(line)) > 1]

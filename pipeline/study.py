@@ -66,6 +66,7 @@ TABLES: dict[str, type[Options]] = {
     "fit": KDOptions,
 }
 _NEEDED = ("scan", "ldv")
+_NO_STUDY = "Give a study: stapeskit new writes one for the files of a folder. A scan alone goes to ct2mass"
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,8 @@ def read_study(path: Path) -> Study:
         it must be, or choices contradict each other: all in one message.
     """
     path = Path(path)
-    content, name = read_toml(path), path.name
+    step = "" if path.suffix.lower() == ".toml" else _NO_STUDY
+    content, name = read_toml(path, step), path.name
     faults = [_unknown_table(key, name) for key in content if key not in TABLES]
     read: dict[str, Any] = {}
     for key, table in TABLES.items():

@@ -40,8 +40,8 @@ def read_json(path: Path, what: str, made_by: str) -> dict[str, Any]:
     return content
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Return the content of a TOML file.
+def read_toml(path: Path, next_step: str = "") -> dict[str, Any]:
+    """Return the content of a TOML file; ``next_step`` is what to do where it is none.
 
     Raises
     ------
@@ -52,14 +52,17 @@ def read_toml(path: Path) -> dict[str, Any]:
 
     path = Path(path)
     if not path.is_file():
-        raise StapeskitError.of("the TOML file", "an existing file", path, "", "Check its name and folder")
+        step = next_step or "Check its name and folder"
+        raise StapeskitError.of("the TOML file", "an existing file", path, "", step)
     try:
         data = path.read_bytes()
         if len(data) > _LONGEST_TOML:
             raise ValueError(f"{len(data)} bytes")
         return tomllib.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:  # TOMLDecodeError and UnicodeDecodeError are ValueErrors
-        raise StapeskitError.of("the file", "TOML in UTF-8", error, path.name) from None
+        got = "other bytes" if isinstance(error, UnicodeDecodeError) else error
+        step = next_step or ("Save it as UTF-8" if got != error else "")
+        raise StapeskitError.of("the file", "TOML in UTF-8", got, path.name, step) from None
 
 
 def as_json(value: Any) -> Any:

@@ -53,6 +53,8 @@ class Table:
         Line of each row in the file, counted from 1.
     faults : tuple of Fault
         Cells that are no numbers and rows of another length.
+    left_out : tuple of int
+        Lines of whole rows that begin with ``#``.
     """
 
     file: str
@@ -60,6 +62,7 @@ class Table:
     texts: Mapping[str, TextColumn]
     lines: NDArray[np.int64]
     faults: tuple[Fault, ...] = ()
+    left_out: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -234,6 +237,7 @@ def _read_cells(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table:
     width, below = len(sheet.header), sheet.line
     kept: list[list[str]] = []
     lines: list[int] = []
+    left_out: list[int] = []
     faults: list[Fault] = []
     while True:
         line = below
@@ -248,6 +252,7 @@ def _read_cells(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table:
         below = sheet.line + rows.line_num
         cells = [cell.strip() for cell in row]
         if not any(cells) or cells[0].startswith("#"):
+            left_out += [line] if len(cells) >= width > 1 else []
             continue
         if len(cells) < width or any(cells[width:]):
             faults.append(_length_fault(sheet, line, below - line, cells))
@@ -269,7 +274,7 @@ def _read_cells(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table:
                 faults.append(Fault(name, "a number", f'"{shown}"', where, _hint(cell, commas)))
     faults.sort(key=lambda fault: fault.where.numbers[0] if isinstance(fault.where, Place) else 0)
     words = {name: _encode(columns[name]) for name in texts}
-    return Table(sheet.file, values, words, np.array(lines, dtype=np.int64), tuple(faults))
+    return Table(sheet.file, values, words, np.array(lines, dtype=np.int64), tuple(faults), tuple(left_out))
 
 
 def _hint(cell: str, commas: bool) -> str:

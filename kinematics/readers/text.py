@@ -8,7 +8,9 @@ from pathlib import Path
 
 from stapeskit.faults import StapeskitError
 
-TEXT_ENDINGS = (".txt", ".asc", ".csv", ".dat")
+TEXT_ENDINGS = (".txt", ".asc", ".csv", ".tsv", ".dat")
+ENDINGS = (*TEXT_ENDINGS, ".uff", ".unv", ".mat", ".h5", ".hdf5", ".npz", ".svd")
+"""Of files that may be a measurement."""
 CUT = "It looks cut short: export or copy it again"
 
 _MOST_FILES = 100_000  # a point and axis each of 30 000 points; a home folder has more

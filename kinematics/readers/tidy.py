@@ -78,7 +78,11 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     rows = _rows_of(table, found[0], faults) if len(table) else []
     raise_all(faults)
     recording = recording_of(table.file, rows, statement="as its columns say")
-    return replace(recording, notices=(*recording.notices, *_notices(found[0], recording)))
+    notices = [*recording.notices, *_notices(found[0], recording)]
+    if table.left_out:
+        rows_out = Place(table.file, "line", table.left_out)
+        notices.append(Notice("file_read", f"rows that begin with # were left out: {rows_out}."))
+    return replace(recording, notices=tuple(notices))
 
 
 def _columns_of(header: Sequence[str], file: str) -> Columns:

@@ -116,6 +116,12 @@ def test_missing_values_and_rows_are_missing(tmp_path):
     assert notice.text.startswith("2 readings")
 
 
+def test_rows_that_are_commented_out_are_reported_with_their_lines(tmp_path):
+    rows = [ROWS[0], "# measured on Monday", f"#{ROWS[1]}", ROWS[2]]
+    measured = read_measurement([table(tmp_path, rows)])
+    assert any("line 4" in notice.text for notice in measured.notices)
+
+
 def test_runs_and_repeats(tmp_path):
     rows = [f"{row},{run},{again}" for run in ("push", "tilt") for again in (1, 2) for row in ROWS[:2]]
     measured = read_measurement([table(tmp_path, rows, f"{HEAD},run,repeat")])
