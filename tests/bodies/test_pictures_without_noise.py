@@ -14,7 +14,6 @@ from stapeskit.faults import StapeskitError
 
 PICTURES = {
     "float": ({"dtype": "float32"}, 1e-4),
-    "16 bit": ({}, 1e-4),
     "8 bit": ({"dtype": "uint8"}, 0.02),
     "a narrow scale": ({"levels": (100.0, 180.0, 300.0)}, 0.02),
     "sharp": ({"blur_voxels": 0.0}, 0.02),

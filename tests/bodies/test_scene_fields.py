@@ -5,9 +5,8 @@ import pytest
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from ct_inertia.grey.cells import mean_by_cells, noise_correlation
-from ct_inertia.voxels.distance import capped_distance, closed
+from ct_inertia.voxels.distance import capped_distance
 from ct_inertia.voxels.fields import blur, local_ratio, share_above, smooth
-from ct_inertia.voxels.masks import eroded, grown, used_box
 
 
 def test_smoothing_is_a_convolution():
@@ -66,23 +65,6 @@ def test_capped_distances_are_exact(spacing):
     spacing = np.array(spacing)
     exact = np.minimum(distance_transform_edt(~mask, sampling=spacing[::-1]), 0.15)
     assert capped_distance(mask, spacing, 0.15) == pytest.approx(exact, abs=1e-6)
-
-
-def test_closing_fills_what_is_narrower_than_the_ball():
-    mask = np.zeros((30, 30, 40), dtype=bool)
-    mask[8:22, 8:22, 6:14] = mask[8:22, 8:22, 17:34] = True
-    filled = closed(mask, np.full(3, 0.02), 0.05)
-    assert filled[15, 15, 15]
-    assert not closed(mask, np.full(3, 0.02), 0.02)[15, 15, 15]
-    assert used_box(np.zeros((3, 3, 3), dtype=bool)) is None
-
-
-def test_growing_and_shrinking_a_block():
-    mask = np.zeros((9, 9, 9), dtype=bool)
-    mask[3:6, 3:6, 3:6] = True
-    assert grown(mask).sum() == 125
-    assert eroded(mask).sum() == 1
-    assert np.array_equal(eroded(grown(mask)), mask)
 
 
 def test_correlation_of_smoothed_noise():

@@ -89,18 +89,6 @@ def test_ring_has_closed_form_and_moves_with_its_plane():
     assert np.linalg.eigvalsh(drawn.stiffness_si)[0] > 0.0
 
 
-def test_ligament_changes_over_lines_and_runs():
-    freq = np.linspace(400.0, 5000.0, 11)
-    plain = Ligament().dynamic_stiffness(freq)
-    for change, expected in (
-        ({"drift": 0.1}, np.linspace(1.0, 1.1, 11)),
-        ({"step": 0.2}, np.r_[np.ones(5), np.full(6, 1.2)]),
-        ({"run_change": 0.3}, np.full(11, 1.3)),
-    ):
-        ratio = replace(Ligament(), **change).dynamic_stiffness(freq, run=1) / plain
-        assert ratio == pytest.approx(np.broadcast_to(expected[:, None, None], ratio.shape), rel=1e-12)
-
-
 def test_readings_are_those_of_rigid_bodies(truth):
     recording = record(truth)
     pose = recording.vibrometer_from_footplate.inverse()
@@ -152,31 +140,6 @@ def test_shared_errors_explain_wrong_positions_and_pose(truth):
     assert pytest.approx(motion.shared.derivatives[-1, 0, 0], rel=1e-9) == derivative.T
 
 
-def test_coherence_and_averages_state_the_noise(truth):
-    recording = record(truth, exact=False, stated="coherence", averages=32)
-    g2, size = recording.coherence(), np.abs(recording.velocity_m_s)
-    assert size * np.sqrt((1.0 - g2) / (2.0 * 32 * g2)) == pytest.approx(recording.sd_m_s, rel=1e-6)
-
-
-def test_missing_values_and_mirrored_coordinates(truth):
-    assert np.mean(np.isnan(record(truth, missing=0.1).velocity_m_s)) == pytest.approx(0.1, abs=0.03)
-    assert np.isnan(record(truth, missing_band=True).velocity_m_s).sum() == 12
-    plain, mirrored = record(truth), record(truth, mirror="x")
-    flip = np.array([-1.0, 1.0, 1.0])
-    assert np.array_equal(mirrored.position_mm, plain.position_mm * flip)
-    assert np.array_equal(mirrored.direction, plain.direction * flip)
-    assert np.array_equal(mirrored.velocity_m_s, plain.velocity_m_s)
-
-
-def test_runs_are_named_and_driven_apart(truth):
-    recording = record(truth, excitations=("y", "x", "y"))
-    assert recording.runs == ("y1", "x", "y2")
-    repeated = record(truth, excitations=("y", "y"), repeats=True)
-    assert repeated.runs == ("y", "y")
-    main = np.argmax(np.abs(recording.motion_m["base"][:, 0, :3]), axis=1)
-    assert main.tolist() == [1, 0, 1]
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_fault_changes_its_culprits_only(truth, kind):
     plain, faulty = record(truth), record(truth, faults=(MeasurementFault(kind=kind),))
@@ -204,34 +167,3 @@ def test_factors_are_as_large_as_they_say(truth):
             faulty = record(truth, faults=(fault,))
             hit = sorted(faulty.culprits)
             assert np.allclose(faulty.velocity_m_s[:, hit], plain.velocity_m_s[:, hit] * factor, rtol=1e-12)
-
-
-def test_faults_of_places_and_names_move_what_they_say(truth):
-    plain = record(truth)
-    swapped = record(truth, faults=(MeasurementFault(kind="label_swap", point="2", other="5"),))
-    one, two = plain.channels("stapes", "2"), plain.channels("stapes", "5")
-    assert np.array_equal(swapped.velocity_m_s[:, one], plain.velocity_m_s[:, two])
-    assert np.array_equal(swapped.velocity_m_s[:, two], plain.velocity_m_s[:, one])
-    conjugate = record(truth, faults=(MeasurementFault(kind="conjugate"),))
-    assert np.array_equal(conjugate.velocity_m_s, plain.velocity_m_s.conj())
-
-
-def test_noise_of_a_loud_channel(truth):
-    fault = MeasurementFault(kind="noise", size=5.0, point="1", laser=0)
-    options = {"lines": 400, "exact": False, "position_sd_mm": 0.0}
-    clean, loud = record(truth, lines=400), record(truth, faults=(fault,), **options)
-    (channel,) = loud.culprits
-    error = (loud.velocity_m_s - clean.velocity_m_s)[0] / loud.sd_m_s[0]
-    spread = np.sqrt(np.mean(np.abs(error) ** 2, axis=1) / 2.0)
-    assert spread[channel] == pytest.approx(5.0, rel=0.12)
-    assert np.delete(spread, channel) == pytest.approx(np.ones(56), rel=0.15)
-
-
-def test_wrong_names_are_refused(truth):
-    for fault in (
-        MeasurementFault(kind="gian"),
-        MeasurementFault(kind="gain", point="99"),
-        MeasurementFault(kind="gain", body="incus"),
-    ):
-        with pytest.raises((KeyError, ValueError)):
-            record(truth, faults=(fault,))
