@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import io
 import json
 import os
 import signal
@@ -137,19 +136,6 @@ def test_names_of_files_cannot_steer_the_terminal(end: str) -> None:
     assert "scan?[2J" in said
     assert "µ.tif" in said
     assert not {letter for letter in said if not letter.isprintable()} - {"\n", "\t"}
-
-
-def test_the_line_of_progress_shows_no_control_characters_but_its_own(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    from stapeskit.command import progress_line
-
-    terminal = io.StringIO()
-    monkeypatch.setattr(terminal, "isatty", lambda: True)
-    monkeypatch.setattr(sys, "stderr", terminal)
-    with progress_line() as progress:
-        progress("ear\x1b[2J", 0.5)
-    assert terminal.getvalue().replace("\r\x1b[2K", "").isprintable()
 
 
 ROOMS = {"ct2mass": "ct_inertia", "points2dof": "kinematics", "dof2kd": "fitting", "scan2kd": "pipeline"}

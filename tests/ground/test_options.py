@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -24,7 +23,7 @@ from stapeskit.option_types import (
     WithSd,
     ZeroOrWithSd,
 )
-from stapeskit.options import Opt, Options, Rule, markdown_table, template, with_options
+from stapeskit.options import Opt, Options, Rule, template
 
 
 class Scan(Options):
@@ -196,40 +195,3 @@ def test_a_broken_rule_is_told_by_the_key_and_file_of_a_study(tmp_path: Path, st
         MassOptions.from_study(values, "study.toml", tmp_path)
     assert "scan.threshold" in [fault.thing for fault in raised.value.faults]
     assert all(fault.where == "study.toml" and "--" not in str(fault) for fault in raised.value.faults)
-
-
-@pytest.mark.parametrize("words", ["--density", "--box="])
-def test_a_value_that_is_missing_is_said_to_be(words: str, scan_file: Path) -> None:
-    with pytest.raises(StapeskitError) as raised:
-        parsed(f"scan.tif {words}")
-    assert [fault.got for fault in raised.value.faults] == ["nothing"]
-
-
-def test_an_unfit_range_is_answered_as_it_is_written_on_the_command_line(scan_file: Path) -> None:
-    with pytest.raises(StapeskitError, match="45-55") as raised:
-        parsed("scan.tif --exclude 10-20 --exclude 55-45")
-    assert [fault.got for fault in raised.value.faults] == ["55-45"]
-
-
-def test_a_function_shows_every_option_with_its_default(scan_file: Path) -> None:
-    @with_options(Scan, Fit)
-    def ct2mass(scan: str, **options: object) -> None:
-        """Measure."""
-
-    shown = inspect.signature(ct2mass).parameters
-    assert set(shown) == {"scan", "density", "coat", "spacing", "box", "anterior", "mirror", "add_mass",
-                          "nan_as_air", "dof", "band", "exclude"}  # fmt: skip
-    assert shown["dof"].default == ("y", "alpha", "gamma")
-    assert shown["density"].annotation == WithSd | None
-    assert "density, kg/m3" in (ct2mass.__doc__ or "")
-
-
-def test_given_is_what_differs_from_the_defaults(scan_file: Path) -> None:
-    scan, fit = parsed("scan.tif --density 1900+-60 --dof y")
-    assert scan.given() == {"file": "scan.tif", "density_kg_m3": "1900+-60"}
-    assert fit.given() == {"dof": ["y"]}
-
-
-def test_the_page_of_options_lists_each_once() -> None:
-    lines = markdown_table(Scan).splitlines()
-    assert len(lines) == 2 + len(Scan.key_names())

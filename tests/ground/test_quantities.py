@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stapeskit.report import quantities
-from stapeskit.report.quantities import HALF_WIDTH_95, Quantity, ShownUnit, matrix_units, plus_minus, si_unit
+from stapeskit.report.quantities import HALF_WIDTH_95, Quantity, matrix_units, plus_minus, si_unit
 
 _RAISED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
@@ -84,9 +84,3 @@ def test_the_unit_of_damping_follows_its_law():
     assert si_unit("D", "y", "y", 0.0) == si_unit("K", "y", "y") == "N/m"
     hysteretic = matrix_units("D", ("y", "gamma"), 0.0)
     assert hysteretic == matrix_units("K", ("y", "gamma"))
-
-
-@given(st.floats(-1e6, 1e6))
-def test_units_convert_there_and_back(value):
-    unit = ShownUnit("mm", 1e3)
-    assert unit.si(unit.of(value)) == pytest.approx(value, rel=1e-15)

@@ -277,18 +277,6 @@ def test_the_writer_refuses_what_the_reader_would(record: MassRecord) -> None:
         mass_json(wrong)
 
 
-def test_a_mass_matrix_checks_its_parts() -> None:
-    for wrong in (
-        {"parameters": np.ones(3)},
-        {"contributions": {"noise": np.eye(3)}},
-        {"parameters": np.zeros(10)},
-    ):
-        with pytest.raises(StapeskitError):
-            MassMatrix(**{"parameters": PARAMETERS} | wrong)
-    assert list(MassMatrix(PARAMETERS, COVARIANCE).contributions) == ["unspecified"]
-    assert not MassMatrix(PARAMETERS).covariance.any()
-
-
 def test_a_moved_mass_matrix_keeps_the_energy_and_moves_back() -> None:
     matrix = MassMatrix(PARAMETERS, np.diag(PARAMETERS**2))
     rotation, shift = rotation_from_vector([0.3, 1.0, -0.4]), np.array([1e-3, -2e-4, 5e-4])

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from stapeskit.faults import StapeskitError
-from stapeskit.records import motion_file
 from stapeskit.records.motion_file import RigidMotion, SharedErrors, motion_columns, read_motion, write_motion
 from stapeskit.warnings import Notice
 
@@ -217,17 +216,6 @@ def test_motion_checks_itself(motion, change, thing):
     assert [fault.thing for fault in caught.value.faults] == [thing]
 
 
-def test_shared_errors_check_themselves(motion):
-    for change in ({"covariance": np.eye(3)}, {"maps": np.zeros((2, 3, 6, 6), complex)}, {"powers": None}):
-        with pytest.raises(StapeskitError):
-            replace(motion.shared, **change)
-    with pytest.raises(StapeskitError):
-        replace(motion, shared=replace(motion.shared, derivatives=np.zeros((2, 2, 2, 5, 2), complex)))
-    with pytest.raises(StapeskitError) as caught:
-        motion.body("bone")
-    assert caught.value.faults[0].got == "bone"
-
-
 def test_pairs_of_bodies_have_noise_in_common_with_a_reference_alone(motion):
     q, covariance = motion.pair(0, 0, 1)
     assert np.array_equal(q[:, 3:], motion.q[0, 1])
@@ -235,15 +223,3 @@ def test_pairs_of_bodies_have_noise_in_common_with_a_reference_alone(motion):
     assert not covariance[:, :3, 3:].any()
     responses = per_reference(motion)
     assert np.array_equal(responses.pair(1, 1, 0)[1][:, :3, :3], responses.covariance[1][:, 3:, 3:])
-
-
-def test_a_library_that_hangs_is_refused(tmp_path, motion, monkeypatch):
-    _, path = write_motion(tmp_path, "dof", motion)
-
-    def spin(_):
-        while True:
-            pass
-
-    monkeypatch.setattr(motion_file, "_motion_from_h5", spin)
-    monkeypatch.setattr("stapeskit.sandbox.processor_limit_s", lambda _: 0.1)
-    assert the_faults(path)[0][2] == "dof.h5"

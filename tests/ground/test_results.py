@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import matplotlib
 import pandas as pd
-import pytest
 
 from stapeskit.report.figures import panels, style
 from stapeskit.results import Result
@@ -56,14 +55,6 @@ def test_a_notebook_gets_escaped_html():
     html = Weighed((("<b>", "<script>alert(1)</script>"),))._repr_html_()
     assert "<script>" not in html
     assert "&lt;one&gt;" in html
-
-
-def test_a_result_must_offer_everything():
-    class Empty(Result):
-        pass
-
-    with pytest.raises(TypeError):
-        Empty()
 
 
 def test_a_figure_shows_itself_where_pyplot_was_never_imported():

@@ -141,12 +141,6 @@ def test_a_fault_of_one_request_leaves_the_session_open_and_a_crash_ends_it(path
     assert children() <= before
 
 
-def test_large_arrays_come_whole(path: Path) -> None:
-    with Session(open_numbers, path, "the scan") as session:
-        assert session.ask(5_000_000)[-1] == 4_999_999
-        assert session.ask(2).tolist() == [0, 1]
-
-
 def test_a_child_ends_with_its_parent(path: Path) -> None:
     """Also when the parent is killed while a second session is open."""
     reader, writer = os.pipe()

@@ -43,13 +43,6 @@ def test_a_decimated_surface_has_the_shape_of_the_given_one(name):
     assert coarse.area == pytest.approx(given.area, rel=0.03)
 
 
-def test_small_surfaces_are_left_alone():
-    small = solid("ball")
-    vertices, faces = decimate(small.points, small.regular_faces, 3000)
-    np.testing.assert_array_equal(faces, small.regular_faces)
-    np.testing.assert_array_equal(vertices, small.points)
-
-
 def test_everything_is_shown_in_the_frame_of_the_axes():
     random = np.random.default_rng(3)
     axes = RigidTransform.from_parts(
@@ -104,14 +97,6 @@ def test_missing_lines_of_a_motion_are_at_rest():
     sent = unpacked(content["bodies"]["stapes"], "<f4").reshape(2, 12)
     assert np.all(sent[0] == 0.0)
     assert content["start"] == 1
-
-
-@pytest.mark.parametrize("points", [[], [Point("a", [1.0, 2.0, 3.0]), Point("b", [1.0, 2.0, 5.0])]])
-def test_a_scene_without_surfaces_is_still_a_scene(points):
-    data = json.loads(Scene(points=points).content())
-    assert data["reach"] > 0.0
-    assert np.all(np.isfinite(data["middle"]))
-    assert len(data["lines"]) == 3
 
 
 def test_the_view_at_the_start_holds_every_surface_and_keeps_the_first_one_seen():

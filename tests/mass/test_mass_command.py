@@ -27,7 +27,6 @@ from stapeskit.faults import StapeskitError
 from stapeskit.records.mass_file import read_mass, read_mass_json
 from stapeskit.registration import displacement
 from stapeskit.sandbox import Session
-from stapeskit.warnings import table
 from tests.mass.population import measure, write_labels
 
 
@@ -208,12 +207,6 @@ def test_the_result_prints_draws_and_tabulates_itself(study: Study) -> None:
     assert result.plot().axes
     assert hasattr(result.plot(), "_repr_png_")
     assert "<table>" in result._repr_html_()
-
-
-def test_every_warning_of_a_result_is_in_the_table(study: Study) -> None:
-    known = table()
-    for result in (study.scanned, study.labelled):
-        assert {notice.code for notice in result.notices} <= set(known)
 
 
 def test_without_density_one_is_assumed_and_reported_first(tmp_path: Path) -> None:

@@ -2,14 +2,11 @@
 
 import re
 from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-import kinematics
 from kinematics.readers.formats import FORMATS, format_of, read_file
-from stapeskit import warnings
 from stapeskit.faults import StapeskitError
 from tests.motion_files.written_files import FREQ_HZ, OTHERS, PLACES_M, VELOCITY, WRITERS
 
@@ -117,14 +114,3 @@ def test_files_of_no_known_format_are_refused_with_what_to_do(tmp_path):
         assert fault.got == got
         assert fault.next_step
         assert all(entry.words in fault.expected for entry in FORMATS)
-
-
-def test_every_warning_of_the_readers_has_its_entry():
-    """Codes in the source of readers and signals are those of the table."""
-    folder = Path(kinematics.__file__).parent
-    sources = [
-        path.read_text("utf-8") for name in ("readers", "signals") for path in (folder / name).glob("*.py")
-    ]
-    codes = {code for source in sources for code in re.findall(r'Notice\(\s*"([a-z_]+)"', source)}
-    assert len(codes) > 5  # the pattern finds them
-    assert codes <= set(warnings.table())

@@ -1,13 +1,11 @@
 """The tidy table: dialects of spreadsheets, units, noise, and a fault with its line for each mistake."""
 
-import time
-
 import numpy as np
 import pytest
 
 from kinematics.readers.assemble import read_measurement
 from stapeskit.faults import StapeskitError
-from tests.motion_files.written_files import FREQ_HZ, VELOCITY, tidy_table
+from tests.motion_files.written_files import VELOCITY, tidy_table
 
 HEAD = "body,point,x_mm,y_mm,z_mm,dir,freq_hz,re_m_s,im_m_s"
 ROWS = ("stapes,1,0,0,0,y,100,1,2", "stapes,1,0,0,0,y,200,3,4", "stapes,2,1,0,0,-z,100,5,6")
@@ -27,35 +25,6 @@ def faults(path, points=None):
     with pytest.raises(StapeskitError) as caught:
         read_measurement([path], points)
     return caught.value.faults
-
-
-DIALECTS = {
-    "crlf": lambda text: text.replace("\n", "\r\n").encode(),
-    "cr": lambda text: text.replace("\n", "\r").encode(),
-    "bom": lambda text: b"\xef\xbb\xbf" + text.encode(),
-    "utf-16": lambda text: text.encode("utf-16"),
-    "no end": lambda text: text.rstrip("\n").encode(),
-    "comment": lambda text: f"# made by hand\n{text}".encode(),
-    "sep": lambda text: f"sep=,\n{text}".encode(),
-    "quoted": lambda text: text.replace("stapes", '"stapes"').encode(),
-    "blank lines": lambda text: text.replace("\n", "\n\n", 1).encode(),
-    "empty columns": lambda text: text.replace("\n", ",,\n").encode(),
-}
-
-
-@pytest.mark.parametrize("name", DIALECTS)
-def test_dialects_are_one_table(name, tmp_path):
-    plain = read_measurement([written(tmp_path, tidy_table())])
-    other = read_measurement([written(tmp_path, DIALECTS[name](tidy_table()))])
-    assert np.array_equal(plain.bodies[0].value, other.bodies[0].value)
-    assert np.array_equal(plain.bodies[0].positions_m, other.bodies[0].positions_m)
-
-
-@pytest.mark.parametrize(("separator", "decimal"), [(";", "."), (";", ","), ("\t", "."), ("\t", ",")])
-def test_separators_and_decimal_commas(separator, decimal, tmp_path):
-    measured = read_measurement([written(tmp_path, tidy_table(separator, decimal))])
-    assert np.allclose(measured.bodies[0].value[0], VELOCITY.reshape(9, -1), rtol=1e-14)
-    assert np.array_equal(measured.freq_hz, FREQ_HZ)
 
 
 UNITS = {
@@ -203,22 +172,6 @@ def test_columns_exchanged_are_refused(tmp_path):
     rows = [f"stapes,{k % 7},0,0,0,y,{100 + 0.37 * k:.2f},1,2,{k}" for k in range(5000)]
     found = faults(table(tmp_path, rows, f"{HEAD},run"))
     assert found[0].thing == "the readings"
-
-
-def test_a_large_table_is_read_quickly(tmp_path):
-    rng = np.random.default_rng(1)
-    freq = np.linspace(100.0, 5000.0, 500)
-    rows = [
-        f"stapes,{point},{0.01 * point:.4f},0.1,0.5,{beam},{freq[k]:.6f},{one:.8e},{other:.8e}"
-        for point in range(200)
-        for beam in ("x", "y", "z")
-        for k, (one, other) in enumerate(1e-4 * rng.normal(size=(500, 2)))
-    ]
-    path = table(tmp_path, rows)
-    began = time.process_time()
-    measured = read_measurement([path])
-    assert time.process_time() - began < 1.5
-    assert measured.bodies[0].value.shape == (1, 600, 500)
 
 
 @pytest.mark.parametrize(

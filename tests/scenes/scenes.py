@@ -3,9 +3,9 @@
 A scene lists the warnings that must appear, and no others may. `bars.json` holds, for each, the standard
 deviations that version 0.2 stated: they may not grow by more than a quarter. Of version 0.3 are those of the
 formats, which are the same voxels, and those of K and D of `whole_right_ear`, where the search of 0.2 for the
-plane of the ligament did not end: the minimum is the same from five starts, and over eight measurements of that
-ear the errors are 0.3 to 0.8 of the stated standard deviations (root mean square; that of K22 is 5 to 15 %, by
-how well the height is determined).
+plane of the ligament did not end: the minimum is the same from five starts, and over eight measurements of
+that ear the errors are 0.3 to 0.8 of the stated standard deviations (root mean square; that of K22 is 5 to 15
+%, by how well the height is determined).
 """
 
 from __future__ import annotations
