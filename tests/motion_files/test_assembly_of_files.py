@@ -222,13 +222,6 @@ def test_rows_in_any_order_and_unit_are_one_recording():
     assert not expected.amplitude_stated
 
 
-def test_a_point_that_the_points_file_lacks_is_refused(tmp_path):
-    (tmp_path / "points.csv").write_text("body,point,x_mm,y_mm,z_mm\nstapes,1,0,0,0\n", encoding="utf-8")
-    with pytest.raises(StapeskitError) as caught:
-        assemble([one(row("1"), row("2"), row("3"))], read_points(tmp_path / "points.csv"))
-    assert things(caught) == ["points 2, 3 of body stapes"]
-
-
 def test_tidy_tables_and_other_files_are_one_measurement(tmp_path):
     (tmp_path / "a.csv").write_text(tidy_table(body="base"), encoding="utf-8")
     (tmp_path / "b.uff").write_bytes(universal_file())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import stft
 
-from kinematics.signals.frf import effective_averages, periodic_frf, smoothed, welch_frf
+from kinematics.signals.frf import effective_averages, periodic_frf, welch_frf
 from stapeskit.faults import StapeskitError
 
 RATE = 8000.0
@@ -52,11 +52,6 @@ def test_periods_give_exact_responses_and_honest_noise():
         frf = periodic_frf(drive, clean + 0.5 * rng.normal(size=clean.shape), RATE, 0.02)
         ratios.append(np.mean(np.abs(frf.value - truth) ** 2 / (2 * frf.sd**2)))
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.06)
-
-
-def test_smoothing_keeps_a_level_and_corrects_for_few_degrees_of_freedom():
-    assert np.allclose(smoothed(np.full((1, 40), 3.0), 9), 3.0)
-    assert np.allclose(smoothed(np.full((1, 40), 3.0), 1, 4.0), 3.0 / (1 - 1 / 4))
 
 
 def test_a_silent_reference_is_refused():

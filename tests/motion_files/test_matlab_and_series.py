@@ -63,25 +63,11 @@ def test_layouts_by_their_names(name, tmp_path):
         assert np.allclose(recording.directions, [[0.0, 0.0, 1.0]] * 3)
 
 
-def test_names_of_points_keep_all_their_digits(tmp_path):
-    names = np.array([1000001.0, 1000002.0, 1000003.0])
-    assert read(tmp_path, {**LAYOUTS["one beam"], "points": names}).points == (
-        "1000001",
-        "1000002",
-        "1000003",
-    )
-
-
 def test_square_matrices_are_read_by_rows_and_named(tmp_path):
     """Positions of three points may be written either way."""
     (notice,) = read(tmp_path, {**LAYOUTS["one beam"], "xyz": PLACES_M}).notices
     assert "xyz" in notice.text
     assert read(tmp_path, LAYOUTS["one beam"]).notices == ()
-
-
-def test_directions_of_version_73(tmp_path):
-    v73(tmp_path / "b.mat", LAYOUTS["one beam"])
-    assert np.array_equal(read_file(tmp_path / "b.mat", FileFacts()).directions, [[0.0, 0.0, 1.0]] * 3)
 
 
 def test_versions_of_matlab_files(tmp_path):
@@ -141,22 +127,6 @@ def test_newer_classes_of_matlab_are_named_with_the_cure(kind, tmp_path):
         read_file(path, FileFacts())
     assert "unit" in caught.value.faults[0].got
     assert "cellstr" in caught.value.faults[0].next_step
-
-
-def test_an_object_that_cannot_be_opened_is_refused_in_words(tmp_path):
-    """Its name is there: without it the file would be another measurement."""
-    path = tmp_path / "a.h5"
-    with h5py.File(path, "w") as file:
-        file["freq_hz"], file["y"], file["unit"] = FREQ_HZ, Z, "m/s"
-        file["sd"] = h5py.SoftLink("/nothing")
-    (fault,) = (_refused(path)).faults
-    assert "cannot be opened" in fault.got
-
-
-def _refused(path):
-    with pytest.raises(StapeskitError) as caught:
-        read_file(path, FileFacts())
-    return caught.value
 
 
 def multisine(noise=0.0, seconds=2.0, rate=8000.0, seed=4):
@@ -284,13 +254,3 @@ def test_clipped_samples_are_reported(name, tmp_path):
     found = [notice.text for notice in recording.notices if notice.code == "samples_stuck"]
     assert (len(found) > 0) is expected
     assert all(text.startswith("a of") for text in found)
-
-
-def test_a_stepped_sine_is_refused_with_what_to_give(tmp_path):
-    """Its steps in one spectrum would be smeared over all lines."""
-    _, drive, responses, _, _ = multisine()
-    steps = np.repeat([300.0, 500.0], len(drive) // 2)
-    np.savez(tmp_path / "a.npz", fs=8000.0, a=responses[0], b=responses[1], d=drive, freq_hz=steps)
-    with pytest.raises(StapeskitError) as caught:
-        read_file(tmp_path / "a.npz", FileFacts(channels=channels(tmp_path, LISTED)))
-    assert "tidy table" in caught.value.faults[0].next_step

@@ -49,17 +49,6 @@ def test_coherence_gives_the_noise():
     assert np.allclose(scan.sd, np.abs(scan.value) * np.sqrt((1 - gamma) / (2 * scan.n_avg * gamma)))
 
 
-def test_the_object_shows_itself():
-    scan = read_vibrometer(DATA / "surface.svd")
-    frame = scan.to_frame()
-    assert len(frame) == 25 * 571
-    assert {"point", "dir_x", "x_m", "freq_hz", "re", "im", "sd", "coherence", "n_avg"} <= set(frame.columns)
-    assert np.allclose(frame["re"][:571], scan.value[0].real)
-    assert len(scan.plot().axes) == 2
-    assert hasattr(scan.plot(), "_repr_png_")
-    assert "25 channels at 25 points" in repr(scan)
-
-
 @pytest.mark.shared
 def test_the_shared_pair_is_the_one_here():
     assert (SHARED / "surface.svd").read_bytes() == (DATA / "surface.svd").read_bytes()
@@ -128,10 +117,3 @@ def test_points_without_a_record_are_left_out(tmp_path):
     assert lacking.points == tuple(point for point in whole.points if point != "8")
     assert np.array_equal(lacking.value, np.delete(whole.value, 7, axis=0))
     assert "zero_rows" in {notice.code for notice in lacking.notices}
-
-
-def test_other_scan_files_are_refused_with_how_to_export(tmp_path):
-    (tmp_path / "a.pvd").write_bytes(b"a scan of another program")
-    with pytest.raises(StapeskitError) as caught:
-        read_vibrometer(tmp_path / "a.pvd")
-    assert "UFF" in caught.value.faults[0].next_step

@@ -167,13 +167,6 @@ def test_all_faults_of_all_files_come_together(tmp_path):
     assert len(found) == 3
 
 
-def test_columns_exchanged_are_refused(tmp_path):
-    """Frequencies in the place of a name: almost no reading shares a line with another."""
-    rows = [f"stapes,{k % 7},0,0,0,y,{100 + 0.37 * k:.2f},1,2,{k}" for k in range(5000)]
-    found = faults(table(tmp_path, rows, f"{HEAD},run"))
-    assert found[0].thing == "the readings"
-
-
 @pytest.mark.parametrize(
     ("decimals", "absolute", "odd"), [(4, True, 1), (3, True, 0), (2, False, 0), (2, False, 1)]
 )
@@ -209,11 +202,6 @@ def test_one_channel_whose_coherence_rounds_to_1_leaves_the_noise_of_the_others_
     assert base.relative
     assert np.allclose(stapes.sd[0, 1, 0], np.sqrt(0.087 / (2 * 16 * 0.913)))
     assert any("last digit" in notice.text and "stapes" in notice.text for notice in measured.notices)
-
-
-def test_coherence_of_1_throughout_says_nothing(tmp_path):
-    rows = [f"{row},1,16" for row in ROWS]
-    assert read_measurement([table(tmp_path, rows, f"{HEAD},coherence,n_avg")]).bodies[0].sd is None
 
 
 def test_sd_of_0_beside_others_is_refused_with_its_rows(tmp_path):

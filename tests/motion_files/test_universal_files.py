@@ -18,7 +18,6 @@ from tests.motion_files.written_files import (
     DISPLACEMENT,
     FORCE,
     FREQ_HZ,
-    SPECTRUM,
     TIME,
     VELOCITY,
     function,
@@ -164,12 +163,6 @@ def test_nodes_of_2411_in_a_system_that_turns_are_refused(tmp_path):
             ]
 
 
-def test_descending_frequencies_are_turned_round(tmp_path):
-    recording = read(tmp_path, units(), nodes_2411(PLACE), function(FREQ_HZ[::-1], VALUE[::-1]))
-    assert np.allclose(recording.freq_hz, FREQ_HZ)
-    assert np.allclose(recording.value[0], VALUE)
-
-
 def test_two_excitations_in_one_file_are_refused(tmp_path):
     """Also where they have no node in common: body and base of two excitations are no one motion."""
     nodes = nodes_2411({1: (0.5, 0.0, 0.0), 2: (0.0, 0.5, 0.0)})
@@ -184,33 +177,10 @@ def test_two_excitations_in_one_file_are_refused(tmp_path):
     assert [fault.thing for fault in faults(tmp_path, units(), nodes, *twice)] == ["the channel 1 (z)"]
 
 
-def test_references_that_repeat_the_responses_are_one_excitation(tmp_path):
-    nodes = nodes_2411({1: (0.5, 0.0, 0.0), 2: (0.0, 0.5, 0.0)})
-    parts = [function(FREQ_HZ, VALUE, node, per=FORCE, reference=(node, 3)) for node in (1, 2)]
-    assert read(tmp_path, units(), nodes, *parts).points == ("1", "2")
-
-
 def test_a_dc_line_is_dropped(tmp_path):
     recording = read(tmp_path, units(), nodes_2411(PLACE), function([0.0, 100.0, 200.0], VALUE[:3]))
     assert np.allclose(recording.freq_hz, [100.0, 200.0])
     assert any(notice.code == "file_read" and "0 Hz" in notice.text for notice in recording.notices)
-
-
-def test_velocity_is_taken_before_displacement_and_responses_before_spectra(tmp_path):
-    both = [function(FREQ_HZ, VALUE), function(FREQ_HZ, 2 * VALUE, quantity=DISPLACEMENT, unit="m")]
-    recording = read(tmp_path, units(), nodes_2411(PLACE), *both)
-    assert recording.quantity == "velocity"
-    recording = read(
-        tmp_path, units(), nodes_2411(PLACE), both[0], function(FREQ_HZ, 3 * VALUE, kind=SPECTRUM)
-    )
-    assert np.allclose(recording.value, VALUE)
-
-
-def test_rotations_are_left_out_of_what_lasers_measured(tmp_path):
-    parts = [function(FREQ_HZ, VALUE, 1, code) for code in (3, 6)]
-    recording = read(tmp_path, units(), nodes_2411(PLACE), *parts)
-    assert np.array_equal(recording.directions, [[0, 0, 1]])
-    assert "of a rotation" in recording.notices[0].text
 
 
 REFUSED = {
@@ -232,13 +202,6 @@ def test_refusals(name, tmp_path):
     nodes = nodes_15(PLACE, measured=7) if name == "a curved system" else nodes_2411(PLACE)
     more = function(FREQ_HZ, VALUE) if name == "a curved system" else b""
     assert [fault.thing for fault in faults(tmp_path, units(), nodes, part, more)] == [thing]
-
-
-def test_a_kind_of_fault_is_one_message(tmp_path):
-    parts = [function(FREQ_HZ, VALUE, node + 1, unit="dB") for node in range(30)]
-    found = faults(tmp_path, units(), nodes_2411(PLACE), *parts)
-    assert len(found) == 1
-    assert len(found[0].where.numbers) == 30
 
 
 def test_directions_that_stand_in_the_text_alone_are_refused(tmp_path):

@@ -83,24 +83,10 @@ def test_a_unit_that_may_be_another_must_be_stated(tmp_path):
     assert [fault.thing for fault in faults(written(tmp_path, kilohertz))] == ["the unit of the frequencies"]
 
 
-def test_beams_without_a_point_are_of_that_of_the_file(tmp_path):
-    text = "Frequency [Hz],x Re [m/s],x Im [m/s],-z Re [m/s],-z Im [m/s]\n400,1,2,3,4\n500,5,6,7,8\n"
-    recording = read_file(written(tmp_path, text, "apex.csv"), FileFacts())
-    assert recording.points == ("apex", "apex")
-    assert np.array_equal(recording.directions, [[1, 0, 0], [0, 0, -1]])
-
-
 def test_decibels_are_one_fault_with_the_cure(tmp_path):
     found = faults(written(tmp_path, wide_table().replace("[mm/s]", "[dB re 1 m/s]")))
     assert len(found) == 1
     assert "10^(dB/20)" in found[0].next_step
-
-
-def test_separators_of_thousands_are_refused(tmp_path):
-    text = wide_table(";").replace("1150;", "1,150.0;")
-    found = faults(written(tmp_path, text))
-    assert [fault.where.numbers for fault in found] == [(5,)]
-    assert "thousands" in found[0].next_step
 
 
 THOUSANDS = {
@@ -121,12 +107,6 @@ def test_thousands_that_look_like_decimals_are_refused(name, mark, tmp_path):
         (fault,) = faults(written(tmp_path, THOUSANDS[name].format("\n".join(order))))
         assert fault.thing == "the frequencies"
         assert "1050" in fault.next_step
-
-
-def test_frequencies_of_other_orders_are_none_of_thousands(tmp_path):
-    rows = ["900;1E-5;2E-5", "650;1E-5;2E-5", "1.5;1E-5;3E-5"]
-    recording = read_file(written(tmp_path, THOUSANDS["wide"].format("\n".join(rows))), FileFacts())
-    assert np.array_equal(recording.freq_hz, [1.5, 650.0, 900.0])
 
 
 PLAIN = "Frequency [Hz],1.0 x Re [m/s],1.0 x Im [m/s]\n400,0.1,0.2\n500,0.3,0.4\n"
@@ -171,23 +151,10 @@ def test_cells_and_rows_at_fault_are_listed_with_their_lines(tmp_path):
     assert [fault.where.numbers for fault in found] == [(3,), (5,)]
 
 
-def test_a_magnitude_without_phase_is_refused(tmp_path):
-    text = "Frequency [Hz],P1 x Mag [m/s],P2 x Mag [m/s],P2 x Phase [deg]\n100,1,1,10\n200,1,1,20\n"
-    assert [fault.thing for fault in faults(written(tmp_path, text))] == ["the column P1 x Mag"]
-
-
 def test_peak_beside_rms_is_refused(tmp_path):
     text = "f,P1 x Re [m/s rms],P1 x Im [m/s rms],P2 x Re [m/s],P2 x Im [m/s]\n100,1,1,1,1\n200,1,1,1,1\n"
     text = text.replace("f,", "f [Hz],", 1)
     assert [fault.thing for fault in faults(written(tmp_path, text))] == ["the units of the amplitudes"]
-
-
-def test_a_description_beside_the_file_is_not_passed_over(tmp_path):
-    """It may say rms or e^{-iwt}: without it the numbers are others."""
-    path = written(tmp_path, "Frequency [Hz],P1 z Mag [m/s],P1 z Phase [deg]\n100,1,10\n200,2,20\n")
-    (tmp_path / "ldv.csv.toml").write_text('convention = "-"\n', encoding="utf-8")
-    (fault,) = faults(path)
-    assert "ldv.csv.toml" in fault.thing
 
 
 def test_fastscan_of_a_folder_and_of_one_file(tmp_path):
@@ -274,24 +241,3 @@ ALIENS = {
 def test_a_table_is_refused_as_what_it_is_nearest_to(name, tmp_path):
     text, thing = ALIENS[name]
     assert {fault.thing for fault in faults(written(tmp_path, text))} == {thing}
-
-
-def test_one_mistake_in_many_files_or_columns_is_one_sentence(tmp_path):
-    for number in range(1, 31):
-        block = point_block(number, VELOCITY[0, 0], PLACES_M[0]).replace(b"Imaginary", b"Coherence")
-        written(tmp_path, block, f"scan/{number}.txt")
-    names = ",".join(f"P{k} x Mag [m/s]" for k in range(30)) + ",Q x Mag [m/s],Q x Phase [deg]"
-    wide = written(tmp_path, f"Frequency [Hz],{names}\n400{',1' * 32}\n")
-    for path in (tmp_path / "scan", wide):
-        with pytest.raises(StapeskitError) as caught:
-            read_file(path, FileFacts())
-        assert len(caught.value.faults) == 30
-        assert str(caught.value).count("\n") == 0
-        assert "27 more" in str(caught.value)
-
-
-def test_time_series_of_points_are_refused_with_the_cure(tmp_path):
-    block = point_block(1, VELOCITY[0, 0], PLACES_M[0], first="Time")
-    assert [fault.thing for fault in faults(written(tmp_path, block, "a.txt"))] == [
-        "the column of frequencies"
-    ]
