@@ -49,6 +49,17 @@ def test_coherence_gives_the_noise():
     assert np.allclose(scan.sd, np.abs(scan.value) * np.sqrt((1 - gamma) / (2 * scan.n_avg * gamma)))
 
 
+def test_the_object_shows_itself():
+    scan = read_vibrometer(DATA / "surface.svd")
+    frame = scan.to_frame()
+    assert len(frame) == 25 * 571
+    assert {"point", "dir_x", "x_m", "freq_hz", "re", "im", "sd", "coherence", "n_avg"} <= set(frame.columns)
+    assert np.allclose(frame["re"][:571], scan.value[0].real)
+    assert len(scan.plot().axes) == 2
+    assert hasattr(scan.plot(), "_repr_png_")
+    assert "25 channels at 25 points" in repr(scan)
+
+
 @pytest.mark.shared
 def test_the_shared_pair_is_the_one_here():
     assert (SHARED / "surface.svd").read_bytes() == (DATA / "surface.svd").read_bytes()
