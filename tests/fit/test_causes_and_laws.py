@@ -8,7 +8,6 @@ from fitting.evidence import Score, _refit, log_odds
 from fitting.laws import LAWS
 from fitting.likelihood import Likelihood, Model
 from fitting.mass import inertia_of
-from fitting.options import UNKNOWN_NAMES
 from fitting.unknowns import UNKNOWNS, Unknown, candidates
 from tests.fit.fit_cases import DOF, M, agrees, codes, deviation, fit, paper_motion, ring_ear
 
@@ -34,10 +33,6 @@ def test_every_unknown_changes_the_equations_and_nothing_at_zero():
         assert any(not np.array_equal(getattr(moved, name), getattr(base, name)) for name in fields), (
             unknown.name
         )
-
-
-def test_every_unknown_may_be_asked_for():
-    assert tuple(UNKNOWNS) == UNKNOWN_NAMES
 
 
 def test_odds_are_those_of_a_normal_prior():
@@ -142,13 +137,6 @@ def test_a_wrong_law_is_named_as_the_cause():
     result = fit(motion, M)
     assert result.search.best.name == "law_hysteretic"
     assert "frequency_dependent" in codes(result)
-
-
-def test_none_keeps_what_data_call_for_out_of_the_model():
-    ear = ring_ear(11, cause="fluid", size=0.5, lines=60)
-    result = fit(ear.motion, ear.mass, unknowns="none")
-    assert not result.found.likelihood.model.unknowns
-    assert result.search.best.name == "fluid"
 
 
 def test_every_law_takes_energy_and_stiffens_with_the_frequency():

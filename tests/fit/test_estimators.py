@@ -80,13 +80,6 @@ def test_noise_of_the_regressor_biases_pinv_and_not_ml():
     assert "estimator_biased" in codes(fit(motion, M, estimator="pinv"))
 
 
-def test_constrained_is_least_squares_where_nothing_is_active():
-    motion, _ = paper_motion(0.005, 2)
-    result = fit(motion, M, estimator="constrained")
-    assert result.active == ()
-    assert result.stiffness[0, 0] == pytest.approx(1722.0, rel=0.02)
-
-
 def test_a_diagonal_entry_at_its_bound_zero_ends_in_a_page(tmp_path):
     motion, _ = paper_motion(0.6, 6, 20)
     result = fit(motion, M, estimator="constrained")

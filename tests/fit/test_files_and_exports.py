@@ -1,10 +1,7 @@
 """Files: the command, exports whose numbers give K and D back, outputs that replace nothing."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -73,27 +70,6 @@ def test_command_finds_nothing_and_says_so(folder, monkeypatch):
     with pytest.raises(StapeskitError) as error:
         work(["dof.csv", "--mass", "M.csv", "--dampin", "viscous"])
     assert "--damping" in error.value.faults[0].next_step
-
-
-def test_plan_of_the_command(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-    (folder / "plan.toml").write_text('lines = 40\ndirections = ["y"]\n')
-    outcome = work(["--plan", "plan.toml", "--quiet"])
-    content = json.loads((folder / "plan.json").read_text())
-    assert content["schema"] == "stapeskit.plan/1"
-    assert np.all(np.diag(content["expected_stiffness_sd_si"]) > 0.0)
-    assert {path.name for path in outcome.files} >= {"plan.json", "plan.html"}
-    (folder / "bad.toml").write_text("line = 40\n")
-    with pytest.raises(StapeskitError) as error:
-        work(["--plan", "bad.toml"])
-    assert "lines" in error.value.faults[0].next_step
-
-
-def test_figures_as_pdf_and_svg(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-    work(["dof.csv", "--mass", "M.csv", "--figures", "figures", "--quiet"])
-    files = {path.suffix for path in (folder / "figures").iterdir() if path.suffix in (".pdf", ".svg")}
-    assert files == {".pdf", ".svg"}
 
 
 def test_matlab_and_csv_hold_numbers(result, tmp_path):
@@ -165,18 +141,6 @@ def test_fe_refuses_a_law_that_has_no_matrix():
     motion, _ = paper_motion(0.02, 1, 40, "fractional")
     with pytest.raises(StapeskitError):
         ansys(fit(motion, M, damping="fractional", unknowns="none"))
-
-
-def test_help_of_the_command_needs_no_data():
-    done = subprocess.run(
-        [sys.executable, "-m", "fitting.cli", "--help"],
-        capture_output=True,
-        text=True,
-        cwd=Path(__file__).parents[2],
-        check=False,
-    )
-    assert done.returncode == 0
-    assert "--unknowns" in done.stdout
 
 
 def test_another_mass_is_refused_unless_forced():

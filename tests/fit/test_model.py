@@ -3,18 +3,9 @@
 import numpy as np
 import pytest
 
-from fitting.entries import join, names, sizes, split
 from fitting.laws import LAWS, DampingLaw
-from fitting.model import modes, moved_eigenvalues, passive, principal_axes, simulate
+from fitting.model import modes, moved_eigenvalues, principal_axes, simulate
 from tests.fit.fit_cases import D, K, M
-
-
-def test_entries_and_matrices_are_inverse():
-    assert names(2) == ("K11", "K12", "K22", "D11", "D12", "D22")
-    stiffness, damping = split(join(K, D), 3)
-    assert np.array_equal(stiffness, K)
-    assert np.array_equal(damping, D)
-    assert sizes(K, D)[1] == pytest.approx(np.sqrt(K[0, 0] * K[1, 1]))
 
 
 def test_axes_follow_a_shift_and_a_turn():
@@ -83,10 +74,3 @@ def test_eigenvalues_near_by_are_those_of_each_model():
         for number in (0, 7):
             own = modes(M, factors[number] * K, damping, law)
             assert values[number] == pytest.approx([mode.eigenvalue for mode in own.pairs], rel=1e-8)
-
-
-def test_power_of_a_passive_model_is_never_negative():
-    rng = np.random.default_rng(1)
-    root = rng.standard_normal((3, 3))
-    assert passive(root @ root.T)
-    assert not passive(root @ np.diag([1.0, 1.0, -1e-3]) @ root.T)

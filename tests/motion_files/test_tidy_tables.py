@@ -212,3 +212,10 @@ def test_sd_of_0_beside_others_is_refused_with_its_rows(tmp_path):
     assert 3 in fault.where.numbers or 2 in fault.where.numbers
     exact = read_measurement([table(tmp_path, [f"{row},0" for row in ROWS], f"{HEAD},sd_m_s")])
     assert np.all(exact.bodies[0].sd[np.isfinite(exact.bodies[0].value)] == 0.0)
+
+
+def test_columns_exchanged_are_refused(tmp_path):
+    """Frequencies in the place of a name: almost no reading shares a line with another."""
+    rows = [f"stapes,{k % 7},0,0,0,y,{100 + 0.37 * k:.2f},1,2,{k}" for k in range(5000)]
+    found = faults(table(tmp_path, rows, f"{HEAD},run"))
+    assert found[0].thing == "the readings"
