@@ -108,7 +108,7 @@ def measure_motion(
     if options.correct:
         fitted, corrections = _correct(fitted, diagnoses, options)
         notices += [notice for one in corrections for notice in one.notices]
-    estimate = agreement(fitted.placed, diagnoses, options.laser_sd, options.calibrate)
+    estimate = agreement(fitted.placed, diagnoses, options.laser_sd, options.calibrate, options.correct)
     if estimate is not None:
         notices += estimate.notices()
         if options.calibrate:

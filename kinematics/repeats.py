@@ -18,6 +18,7 @@ from stapeskit.warnings import Notice
 _UNLIKELY = 1e-3  # probability below which a repeat is off, or scatter exceeds the stated noise
 _POOLED_DOF = 60  # of the scatter at a line and its neighbours: the noise is known to 9 %
 _LEAST_GAIN = 1e-3  # differences of gain that matter nowhere: lasers are calibrated to 1e-2
+_LARGE_GAIN, _MANY_SD = 0.1, 6.0  # the level of a shaker that is set again differs by some percent
 _FEWEST = 4  # repeats of which one can be told from the others
 
 
@@ -114,7 +115,7 @@ def _compare(measurement: Measurement, run: str, own: Sequence[int]) -> Repeated
         mean = np.nan_to_num(_mean(values / gains[:, None, None], weights))
         power = np.sum(weights * np.abs(mean) ** 2, axis=(1, 2))
         gains = np.sum(weights * values * mean.conj(), axis=(1, 2)) / np.maximum(power, 1e-300)
-        gains = gains / np.exp(np.mean(np.log(np.where(gains == 0.0, 1.0, gains))))
+        gains = gains / _common(gains)
     mean = np.nan_to_num(_mean(values / gains[:, None, None], weights))
     several = np.count_nonzero(weights, axis=0) > 1
     left = np.where(several, np.abs(values - gains[:, None, None] * mean) ** 2 * weights, 0.0)
@@ -142,6 +143,16 @@ def _compare(measurement: Measurement, run: str, own: Sequence[int]) -> Repeated
         )
         notices.append(Notice("repeats_differ", text))
     return RepeatedRun(run, names, gains, float(np.sqrt(level)), tuple(notices))
+
+
+def _common(gains: ComplexArray) -> complex:
+    """Return the geometric mean of the sizes of gains (n,), with the phase of most of them."""
+    size = np.where(gains == 0.0, 1.0, np.abs(gains))
+    phases = gains / size
+    whole = complex(np.sum(phases))
+    if abs(whole) < 0.5:  # half of them have the other sign
+        whole = complex(phases[0]) or 1.0
+    return complex(np.exp(np.mean(np.log(size))) * whole / abs(whole))
 
 
 def _gain_notices(run: str, names: Sequence[str], gains: ComplexArray, sd: float) -> list[Notice]:
@@ -173,6 +184,14 @@ def _gain_notices(run: str, names: Sequence[str], gains: ComplexArray, sd: float
                 "first repeat to the last; responses per reference (--reference) do not contain it."
             )
             return [Notice("repeats_differ", text)]
+    apart = [abs(gain / gains[0] - 1.0) for gain in gains]
+    if max(apart) > _LARGE_GAIN + _MANY_SD * sd:
+        factors = ", ".join(f"{gain.real:.3g}{gain.imag:+.3g}i" for gain in gains / gains[0])
+        text = (
+            f"run {run}: the repeats have {factors} times the values of the first, and nothing tells which "
+            "is right: the pooled motion is as wrong as they differ. Leave the wrong ones out."
+        )
+        return [Notice("repeats_differ", text)]
     return []
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from kinematics.faults.search import Diagnosis
 from kinematics.joint.estimate import joint
 from kinematics.joint.expected import LASER_KINDS, ChannelError, body_starts, lasers_of, stated_errors
-from kinematics.joint.pack import Packed, pack
+from kinematics.joint.pack import Packed
 from kinematics.joint.tangents import Geometry, Parameters
 from kinematics.measurement import Measurement
 from stapeskit.arrays import Array
@@ -139,8 +139,11 @@ def agreement(
     diagnoses: Mapping[int, Diagnosis],
     laser_sd: Mapping[str, float],
     calibrate: bool = False,
+    corrected: bool = False,
 ) -> ErrorEstimate | None:
-    """Estimate the stated errors from values without channels at fault; faults of whole lasers are left in.
+    """Estimate the stated errors from values without channels at fault.
+
+    Faults of whole lasers are left in, unless the motion is corrected for them.
 
     Bodies that bend say nothing, except to calibrate: a wrong geometry looks like bending. Positions alone
     remain as stated.
@@ -151,6 +154,8 @@ def agreement(
         By body.
     laser_sd, calibrate
         As in `stated_errors`.
+    corrected : bool
+        Whether the measurement holds what was found corrected.
 
     Returns
     -------
@@ -163,9 +168,11 @@ def agreement(
     for number, found in diagnoses.items() if not alone else ():
         bends = bool(found.causes) or any(finding.kind == "flexible" for finding in found.findings)
         if calibrate or not bends:
-            readings = found.last.readings
-            factor = np.ones((1, len(readings.noise_factor)), dtype=complex)
-            packed = pack(replace(readings, geometry=replace(readings.geometry, factor=factor)))
+            packed = found.last.packed  # over the noise as it was found; factors are taken as 1
+            if corrected:
+                size = np.abs(packed.geometry.factor)
+                y = packed.y * (packed.geometry.factor.conj() / size)[:, :, None]
+                packed = replace(packed, y=y, w=packed.w * size)
             packs[number] = packed.scaled(np.full(len(packed.y), np.sqrt(found.last.noise.level)))
     return estimate_errors(placed, errors, packs) if errors else None
 

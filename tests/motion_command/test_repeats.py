@@ -92,6 +92,18 @@ def test_one_repeat_of_another_gain_or_sign_is_named(count, gain):
     assert "repeat 4" in differ(pool_repeats(repeated(3, count=count, gains=gains)[0])[1])
 
 
+@pytest.mark.parametrize("gains", [(1.0, 2.0), (1.0, -1.0), (1.0, 1.0, 0.7)])
+def test_few_repeats_that_differ_in_gain_or_sign_are_reported(gains):
+    _, (compared,) = pool_repeats(repeated(3, count=len(gains), gains=gains)[0])
+    assert "times the values of the first" in compared.notices[0].text
+
+
+def test_a_repeat_of_the_other_sign_does_not_turn_the_mean():
+    measurement, true = repeated(3, count=4, gains=[1.0, 1.0, 1.0, -1.0])
+    pooled, _ = pool_repeats(measurement)
+    assert np.mean(np.abs(pooled.bodies[0].value[0] - true)) < 0.02
+
+
 def test_gains_that_scatter_without_order_raise_no_alarm():
     """The level of a shaker differs from repeat to repeat; the pooled mean is that of its mean."""
     rng = np.random.default_rng(5)

@@ -15,7 +15,7 @@ from kinematics.measurement import BodyChannels, Measurement
 from kinematics.place import shared_errors as shared
 from kinematics.place.errors import estimate_errors
 from kinematics.place.placement import Placement
-from simulate import Experiment, measure_motion, resonant_motion, scattered_points
+from simulate import Experiment, MeasurementFault, measure_motion, resonant_motion, scattered_points
 from stapeskit.spatial import DOF_NAMES, point_rows
 from tests.motion_command.ears import error_in_sd, measured, rewrite, simulated
 
@@ -178,6 +178,24 @@ def test_errors_of_a_laser_are_estimated_and_the_motion_is_corrected(tmp_path):
     left, before = (np.sum(np.abs((r.motion.q - true)[..., 3:]) ** 2) for r in (result, plain))
     assert left < 0.7 * before
     assert np.max(np.abs(error_in_sd(result, truth))) < 6.0
+
+
+def test_a_laser_that_is_corrected_is_not_corrected_once_more(tmp_path):
+    late = MeasurementFault(kind="laser_delay", size=2e-5)
+    truth = simulated(tmp_path, seed=33, lines=72, in_footplate=True, faults=(late,))
+    result = measured(tmp_path, correct=True)
+    assert {notice.code for notice in result.notices} == {"channel_gain", "corrected"}
+    assert np.sqrt(np.mean(error_in_sd(result, truth) ** 2)) < 1.3
+
+
+def test_lasers_are_compared_by_the_noise_that_there_is(tmp_path):
+    simulated(tmp_path, seed=22, in_footplate=True)
+
+    def shrink(table):
+        table["sd_m_s"] *= 0.1
+
+    rewrite(tmp_path / "ldv.csv", shrink)
+    assert {notice.code for notice in measured(tmp_path).notices} == {"noise_level"}
 
 
 def test_lasers_that_agree_as_stated_raise_no_alarm(tmp_path):
