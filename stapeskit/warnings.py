@@ -91,16 +91,16 @@ def page() -> str:
     lines = [
         "# Warnings",
         "",
-        "Each has a stable code and a text with the numbers of the case, on the terminal, the page and in",
-        'the JSON results (`"warnings": [{"code", "text"}]`), and travels with the results of its step.',
-        "Verdicts: `information` (use the numbers), `do not use`, else `check` (look first).",
+        "Each has a stable code and a text with the numbers of the case, on the terminal, the page and in the",
+        "JSON results, and travels with the results of its step. The verdict is **check** (look first) where",
+        "no row says **information** (use the numbers) or **do not use**.",
     ]
     for room, command in ROOMS.items():
         entries = sorted((code, entry) for code, entry in table().items() if entry.room == room)
-        lines += ["", f"## {command}", "", "| code | meaning | what to do | verdict |", "|-|-|-|-|"]
+        lines += ["", f"## {command}", "", "| code | meaning | what to do |", "|-|-|-|"]
         for code, entry in entries:
-            verdict = "" if entry.verdict == "check" else entry.verdict
-            lines.append(f"| `{code}` | {entry.meaning} | {entry.what_to_do} | {verdict} |")
+            verdict = "" if entry.verdict == "check" else f"**{entry.verdict}:** "
+            lines.append(f"| `{code}` | {verdict}{entry.meaning} | {entry.what_to_do} |")
     return "\n".join(lines) + "\n"
 
 
