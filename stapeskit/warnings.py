@@ -91,9 +91,9 @@ def page() -> str:
     lines = [
         "# Warnings",
         "",
-        "Each has a stable code and a text with the numbers of the case, on the terminal, the page and in the",
-        "JSON results, and travels with the results of its step. The verdict is **check** (look first) where",
-        "no row says **information** (use the numbers) or **do not use**.",
+        "Each has a stable code and a text with the numbers of the case, on the terminal, the page and in",
+        "the JSON results, and travels with the results of its step. The verdict is **check** (look first)",
+        "where no row says **information** (use the numbers) or **do not use**.",
     ]
     for room, command in ROOMS.items():
         entries = sorted((code, entry) for code, entry in table().items() if entry.room == room)

@@ -3,7 +3,7 @@
     python -m tools.evidence [WORD ...]      run the commands that hold one of the words; all without words
     python -m tools.evidence --pages         only write the page, from the results of the last runs
 
-A block begins with ``<!-- python -m benchmarks.NAME ... -->`` and ends with ``<!-- end -->``. What its
+A block begins with ``<!-- benchmarks.NAME ... -->`` and ends with ``<!-- end -->``. What its
 command prints is kept in ``benchmarks/results`` with the date and the processor time.
 """
 
@@ -20,7 +20,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, RESULTS = ROOT / "docs" / "evidence.md", ROOT / "benchmarks" / "results"
-BLOCK = re.compile(r"<!-- python -m benchmarks\.(\w[^\n]*?) -->\n(.*?)<!-- end -->", re.DOTALL)
+BLOCK = re.compile(r"<!-- benchmarks\.(\w[^\n]*?) -->\n(.*?)<!-- end -->", re.DOTALL)
 
 
 def result_file(command: str) -> Path:
@@ -49,9 +49,9 @@ def filled(block: re.Match[str]) -> str:
     if not path.exists():
         return block[0]
     result = json.loads(path.read_text(encoding="utf-8"))
-    spent = f"`{result['command']}`, {result['date']}, {result['processor_s']} s of processor time"
+    spent = f"`{result['command']}`, {result['date']}, {result['processor_s']} s"
     lines = "\n".join(result["printed"])
-    return f"<!-- python -m benchmarks.{block[1]} -->\n{lines}\n\n*{spent}*\n<!-- end -->"
+    return f"<!-- benchmarks.{block[1]} -->\n{lines}\n\n*{spent}*\n<!-- end -->"
 
 
 if __name__ == "__main__":
