@@ -15,13 +15,12 @@ from ct_inertia.frames.footplate_face import solve_at
 from ct_inertia.frames.footplate_sd import Influence, SurfaceError
 from ct_inertia.frames.landmarks import read_landmarks
 from ct_inertia.surface.surface import Surface
-from simulate import STAPES, Stapes, stapes_solid
+from simulate import Stapes, stapes_solid
 from simulate import footplate_frame as true_frame
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform, rotation_from_vector
 from stapeskit.registration import displacement
 
-FOREIGN = [name for name in STAPES if name.startswith("foreign")]
 POSE = RigidTransform.from_parts(rotation_from_vector([0.4, -0.9, 1.3]), [31.0, -12.0, 57.0], "scan", "body")
 
 
@@ -180,7 +179,7 @@ def test_influence_functions_predict_what_a_bump_does() -> None:
 
 def test_noise_of_the_height_scatters_the_frame_as_stated() -> None:
     """White height noise of a given density on the medial side, twelve surfaces: y and the tilts."""
-    stapes = Stapes(family="analytic", step_mm=0.03)
+    stapes = Stapes(family="analytic", step_mm=0.04)
     surface = surface_of(stapes)
     base = found_of(stapes)
     solved = solve_at(surface, -POSE.rotation[:, 1], 3.7, 0.0)
@@ -214,16 +213,9 @@ def test_a_level_that_errs_moves_the_origin_by_its_shift() -> None:
 def test_a_ball_has_no_footplate() -> None:
     from simulate import ellipsoid
 
-    ball = ellipsoid([0.0, 0.0, 0.0], [1.7, 1.7, 1.7])
+    ball = ellipsoid([0.0, 0.0, 0.0], [1.7, 1.7, 1.7], 20)
     frame = footplate_frame(Surface(ball.vertices_mm, ball.faces))
     assert "long_axis_weak" in {notice.code for notice in frame.notices}
-
-
-def test_another_anatomy_has_its_frame() -> None:
-    solid = stapes_solid(Stapes(family=FOREIGN[0]))
-    frame = footplate_frame(Surface(solid.vertices_mm, solid.faces), AnatomyHints(np.array([1.0, 0.0, 0.0])))
-    step = displacement(frame.scan_from_footplate, RigidTransform.identity("scan", "footplate"))
-    assert np.all(np.abs(step) < [5e-7] * 3 + [5e-4] * 3)
 
 
 POINTS = {"anterior": [1.0, 2.0, 3.0], "Footplate-Center": [4.0, 5.0, 6.0]}

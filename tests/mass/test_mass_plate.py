@@ -16,7 +16,7 @@ from ct_inertia.surface.contour import contour
 from ct_inertia.surface.fields import refined
 from ct_inertia.surface.surface import Surface, as_mesh
 from simulate import Ear, Scan, box, coverage_of, simulate_truth
-from simulate.solids import Solid, joined
+from simulate.solids import joined
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform, rotation_from_vector
 from stapeskit.registration import displacement
@@ -35,7 +35,7 @@ def codes(frame: PlateFrame) -> set[str]:
     return {notice.code for notice in frame.notices}
 
 
-@pytest.mark.parametrize("turn_deg", [0.0, 35.0, 80.0, 100.0, 170.0, 260.0])
+@pytest.mark.parametrize("turn_deg", [0.0, 35.0, 100.0, 260.0])
 def test_the_axes_are_those_of_the_convention(turn_deg: float) -> None:
     turn = rotation_from_vector([0.0, np.radians(turn_deg), 0.0])
     pose = POSE @ RigidTransform.from_parts(turn, np.zeros(3), "plate", "plate")
@@ -79,11 +79,10 @@ def test_a_ball_is_no_plate() -> None:
     assert error.value.faults[0].thing == "the plate"
 
 
-@pytest.mark.parametrize("voxel_um", [25.0, 40.0])
-def test_the_plate_of_a_scan_is_found_below_two_micrometres(voxel_um: float) -> None:
+def test_the_plate_of_a_scan_is_found_below_two_micrometres() -> None:
     from scipy.ndimage import gaussian_filter
 
-    truth = simulate_truth(Ear(), Scan(voxel_um=voxel_um, seed=5))
+    truth = simulate_truth(Ear(), Scan(voxel_um=40.0, seed=5))
     placed = truth.placed
     plates = [solid for solid, material in placed.solids if material == "plastic"]
     share = sum(coverage_of(solid, placed.shape, placed.voxel_mm, samples=3) for solid in plates)
@@ -144,13 +143,7 @@ def test_wrong_fiducials_are_refused(tmp_path: Path, text: str, thing: str) -> N
     assert thing in {fault.thing for fault in error.value.faults}
 
 
-def test_fiducials_on_a_line_are_refused() -> None:
-    points = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [2.0, 2.0, 2.0]])
-    with pytest.raises(StapeskitError):
-        plate_frame_from_fiducials(PlateFiducials(("a", "b", "c"), points), STAPES)
-
-
-@pytest.mark.parametrize("gap_mm", [0.05, 0.12, 0.2])
+@pytest.mark.parametrize("gap_mm", [0.05, 0.2])
 def test_the_gap_of_exact_surfaces_is_the_one_that_was_built(gap_mm: float) -> None:
     ear = Ear(gap_mm=gap_mm)
     bones = [solid for solid, material in ear.solids() if material == "bone"]
@@ -182,10 +175,3 @@ def test_a_level_that_is_off_changes_the_gap_by_what_its_sd_states() -> None:
     by_level = np.sqrt(stated.sd_mm**2 - plain.sd_mm**2)
     found = abs(off.median_mm - plain.median_mm)
     assert found <= by_level < 1.3 * found  # normals at the rounded rim are not all across the gap
-
-
-def test_without_a_wall_there_is_no_gap() -> None:
-    ear = Ear(bone=False)
-    stapes = Surface(ear.solid.vertices_mm, ear.solid.faces)
-    far = Solid(ear.solid.vertices_mm + np.array([20.0, 0.0, 0.0]), ear.solid.faces)
-    assert window_gap(footplate_frame(stapes), stapes, Surface(far.vertices_mm, far.faces), 0.0, 0.0) is None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,11 +9,9 @@ from ct_inertia.bodies import Moments
 from ct_inertia.surface.contour import contour
 from ct_inertia.surface.fields import Diffusion, step_response
 from ct_inertia.surface.matched import moment_matched
-from ct_inertia.surface.repair import read_mesh
 from ct_inertia.surface.surface import Surface
 from simulate import Stapes, coverage_of, ellipsoid, stapes_solid
 from simulate.solids import Solid
-from stapeskit.faults import StapeskitError
 from stapeskit.frames import rotation_from_vector
 
 
@@ -76,12 +72,6 @@ def test_only_the_largest_piece_is_kept_unless_all_are_asked_for() -> None:
     assert one.vertices_mm[:, 0].max() < 20.0
 
 
-def test_a_field_without_a_body_is_refused() -> None:
-    with pytest.raises(StapeskitError) as error:
-        contour(np.full((5, 5, 5), -1.0, dtype=np.float32), np.eye(4))
-    assert error.value.faults[0].thing == "the body"
-
-
 def test_moments_of_an_ellipsoid_and_of_the_same_turned() -> None:
     solid = ellipsoid([10.0, 20.0, -5.0], [0.4, 0.7, 1.1])
     moments = Surface(solid.vertices_mm, solid.faces).moments()
@@ -118,18 +108,6 @@ def test_a_matched_surface_has_the_moments_it_was_given(step: float) -> None:
     np.testing.assert_allclose(found.second_mm5, exact.second_mm5, atol=1e-3 * np.trace(exact.second_mm5))
     assert Solid(surface.vertices_mm, surface.faces).is_closed()
     assert surface.holes == 1
-
-
-@pytest.mark.parametrize("suffix", [".ply", ".stl", ".obj", ".glb"])
-def test_what_is_written_is_read_back(suffix: str, tmp_path: Path) -> None:
-    solid = ellipsoid([1.0, 2.0, 3.0], [0.4, 0.7, 1.1])
-    surface = Surface(solid.vertices_mm, solid.faces)
-    surface.write(tmp_path / f"body{suffix}")
-    mesh = read_mesh(tmp_path / f"body{suffix}")
-    again = Surface(mesh.vertices_mm, mesh.faces).moments()
-    exact = suffix == ".ply"
-    assert again.volume_mm3 == pytest.approx(surface.moments().volume_mm3, rel=1e-14 if exact else 1e-5)
-    np.testing.assert_allclose(again.centroid_mm, surface.moments().centroid_mm, atol=1e-5)
 
 
 def test_one_step_of_diffusion_damps_a_wave_as_it_should() -> None:

@@ -9,8 +9,8 @@ import pytest
 
 from ct_inertia.bodies import Moments
 from ct_inertia.mass.calibration import Calibration, from_calibration, read_calibration
-from ct_inertia.mass.properties import PointMass, from_density, from_mass, point_masses
-from ct_inertia.mass.sizes import PUBLISHED, body_volumes, check_mesh, impossible, unusual_notice
+from ct_inertia.mass.properties import from_density, from_mass, point_masses
+from ct_inertia.mass.sizes import PUBLISHED, check_mesh, impossible, unusual_notice
 from ct_inertia.mass.ways import MassByWay, disagreements, masses_by_way, not_stated
 from ct_inertia.options import ASSUMED_DENSITY
 from ct_inertia.surface.surface import Surface
@@ -253,11 +253,6 @@ def mesh_of(scale: float = 1.0) -> Surface:
     return Surface(SOLID.vertices_mm * scale, SOLID.faces)
 
 
-def test_a_mesh_of_one_body_in_mm_is_taken() -> None:
-    check_mesh(mesh_of(), "a.stl")
-    assert body_volumes(mesh_of()) == pytest.approx([SOLID.moments().volume_mm3])
-
-
 @pytest.mark.parametrize(("scale", "unit"), [(1e-3, "metres"), (1e3, "micrometres"), (0.1, "centimetres")])
 def test_a_mesh_in_another_unit_is_refused(scale: float, unit: str) -> None:
     with pytest.raises(StapeskitError) as error:
@@ -271,8 +266,3 @@ def test_a_mesh_of_two_bodies_is_refused() -> None:
     with pytest.raises(StapeskitError) as error:
         check_mesh(Surface(both.vertices_mm, both.faces), "a.stl")
     assert error.value.faults[0].expected == "one closed body, the stapes"
-
-
-def test_a_point_mass_has_no_inertia_about_itself() -> None:
-    mass = PointMass(np.array([1.0, 2.0, 3.0]), 2e-6)
-    np.testing.assert_allclose(mass.parameters(mass.position_mm), [2e-6, *[0.0] * 9])
