@@ -97,8 +97,7 @@ FORMATS = (
     ),
     Format(
         "uff", "a universal file (.uff, .unv)", lambda head: bool(_UFF.match(head.content)),
-        "functions 58 and 58b: responses, spectra, coherence; 15 and 2411 nodes, 18 and 2420 coordinate "
-        "systems, 164 units",
+        "functions (58, 58b), nodes (15, 2411), coordinate systems (18, 2420), units (164)",
         libraries=("pyuff",),
     ),
     Format(
@@ -113,14 +112,13 @@ FORMATS = (
     ),
     Format(
         "wide", "a wide table (.csv)", lambda head: head.kind == "wide",
-        "one row a frequency and two columns a beam (`Frequency [Hz], P1 Vx Mag [mm/s], P1 Vx Phase [deg], "
-        "...`)",
+        "one row a frequency, two columns a beam: `Frequency [Hz], P1 Vx Mag [mm/s], P1 Vx Phase [deg], ...`",
     ),
     Format(
         "tidy", "a tidy table (.csv)",
         lambda head: head.suffix in _TABLES and not head.content.startswith(_ZIP),
-        "commas, semicolons or tabs, decimal commas, UTF-8 or UTF-16, BOM, any line ends, quotes, `#` "
-        "comments, `sep=;`; anything else is refused with file, line and column, all faults in one message",
+        "commas, semicolons or tabs, decimal commas, UTF-8 or UTF-16, BOM, any line ends, quotes, `#` lines, "
+        "`sep=;`",
     ),
 )  # fmt: skip
 """In the order in which they are tried."""
