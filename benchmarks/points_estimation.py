@@ -17,7 +17,6 @@ import numpy as np
 
 from benchmarks._table import arguments, print_table
 from kinematics.fit.beams import BeamSet, beam_set
-from kinematics.fit.reference import per_reference
 from kinematics.fit.rigid_fit import LineFit, fit_lines
 from kinematics.joint.expected import stated_errors
 from kinematics.measurement import BodyChannels, Measurement
@@ -28,7 +27,6 @@ from simulate import resonant_motion, scattered_points
 from simulate.vibrometer import laser_directions
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import RigidTransform, rotation_from_vector
-from stapeskit.records.rigid_motion import RigidMotion
 from stapeskit.spatial import DOF_NAMES, point_rows
 
 LEVEL = 1e-9
@@ -129,25 +127,6 @@ def known_noise(lines: int) -> Iterator[list[object]]:
             yield row(name, data.fit(data.clean + data.sd * noise, data.sd, robust), data, False)
 
 
-def reference_row(lines: int, snr: float) -> list[object]:
-    """Return true over stated variance and coverage of a motion per reference of some signal to noise."""
-    rng = np.random.default_rng([60, int(10 * snr)])
-    truth, sd = np.array([0.7 + 0.4j, 1.0]), 1.0 / snr
-    q = truth + sd * unit_noise(rng, (lines, 2))
-    covariance = np.full((1, 2, lines, 1, 1), 2.0 * sd**2, dtype=complex)
-    nothing = np.zeros((1, 2, lines))
-    freq_hz = np.arange(1.0, lines + 1.0)
-    motion = RigidMotion(
-        ("1",), ("a", "b"), ("y",), freq_hz, q.T[None, :, :, None], covariance, nothing, nothing
-    )
-    ratio = per_reference(motion, "b:y")
-    error = ratio.q[0, 0, :, 0] - truth[0]
-    variance = np.real(ratio.covariance[0, :, 0, 0])
-    inside = np.abs(np.stack([error.real, error.imag])) < 1.96 * np.sqrt(variance / 2.0)
-    ratio_of_variances = np.mean(np.abs(error) ** 2) / np.median(variance)
-    return [f"{snr:.0f}", f"{ratio_of_variances:.3f}", f"{100 * np.mean(inside):.1f} %"]
-
-
 def squared_distance(replicates: int, stated: bool) -> float:
     """Return the mean normalised squared error of q at three lines jointly, over its dimension.
 
@@ -194,8 +173,6 @@ if __name__ == "__main__":
     given = arguments(__doc__, lines=2000, geometries=100)
     print(f"{given.lines} lines a case; worst degree of freedom (mean).\n")
     print_table(("case", "variance/bound", "95 % holds", "chi2 alarms at 5 %"), known_noise(given.lines))
-    head = ("SNR of the reference", "true/stated variance", "95 % holds")
-    print_table(head, (reference_row(10 * given.lines, snr) for snr in (100.0, 10.0, 5.0, 3.0)))
     distances = [squared_distance(given.geometries, stated) for stated in (True, False)]
     print(f"Squared distance of q at three lines jointly, over its dimension, {given.geometries} geometries:")
     print(f"stated as priors {distances[0]:.3f}, channel noise alone {distances[1]:.1f}.")

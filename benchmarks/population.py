@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks._masses import Measured, measure
-from benchmarks._table import NOTHING, arguments, percent, print_table, printed_before, root_mean_square
+from benchmarks._table import NOTHING, arguments, percent, print_table, root_mean_square
 from simulate import Ear, Scan, Stapes
 
 CLOSED = ("base", "asymmetric", "thick", "curved", "gutter", "focus")
@@ -33,7 +33,6 @@ OPEN = ("thin", "hollow", "perforated", "flat thin", "filled", "single")
 UNCERTAIN = "stapes_uncertain"
 CLOSE = 1e-3
 """Conditions whose volume errs by less are named together: a tenth of what the best density leaves."""
-BEFORE = "population_start_95000_scans_6"
 Draw = np.random.Generator
 AIR, BONE = 8000.0, 30000.0
 
@@ -228,7 +227,6 @@ if __name__ == "__main__":
         )
     fates = [fate(name, one) for name, found in results.items() for one in found]
     print(f"* {len(fates)} scans: {'; '.join(f'{fates.count(what)} {what}' for what in FATES)}")
-    print(f"* 0.2, {next(line for line in printed_before(BEFORE) if line.startswith('222 scans:'))}")
     right = [
         one for found in results.values() for one in found if one.record is not None and not is_wrong(one)
     ]

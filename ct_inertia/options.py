@@ -176,9 +176,9 @@ class MassOptions(Options):
             recommended=True,
         ),
     ] = None
-    spacing_mm: Annotated[
-        Spacing | None, Opt("size of a voxel, mm, where the file has none or a wrong one", _READING, 0.018)
-    ] = None
+    spacing_mm: Annotated[Spacing | None, Opt("size of a voxel, mm; wins over the file", _READING, 0.018)] = (
+        None
+    )
     mirror: Annotated[
         Literal["x", "y", "z"] | None,
         Opt("reverse an axis: undoes a mirror image", _READING, "z"),
@@ -243,7 +243,7 @@ class MassOptions(Options):
     anterior: Annotated[
         Direction | None,
         Opt(
-            "direction towards anterior, scan axes; only its sign along the footplate counts",
+            "direction towards anterior in scan axes; its sign along the footplate counts",
             _FRAMES,
             [-0.9, 0.1, 0.0],
             recommended=True,

@@ -39,7 +39,7 @@ LAWS: dict[str, LawKind] = {
         lambda w, a: 1j * w / (1.0 + 1j * w * a), 0.3, 1.0, is_time=True, includes=("viscous",)
     ),
 }
-"""By name; formulas and meanings are in `options.DAMPING`."""
+"""By name; formulas are in `options.DAMPING`."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class DampingLaw:
     @property
     def formula(self) -> str:
         """The dynamic stiffness as text."""
-        return DAMPING[self.name][0].format(a=self.value)
+        return DAMPING[self.name].format(a=self.value)
 
     def factor(self, omega: ArrayLike) -> ComplexArray:
         """Return s of angular frequencies, rad/s; complex ones continue it to eigenvalues i w."""

@@ -26,12 +26,12 @@ from stapeskit.option_types import (
 from stapeskit.options import Opt, Options, Rule
 
 DAMPING = {
-    "viscous": ("K + i w D", "force proportional to velocity"),
-    "hysteretic": ("K + i D", "constant loss factor"),
-    "fractional": ("K + (i w)^{a:.4g} D", "spring-pot, its exponent estimated"),
-    "relaxation": ("K + i w D / (1 + i w {a:.3g} s)", "standard linear solid, its time estimated"),
+    "viscous": "K + i w D",
+    "hysteretic": "K + i D",
+    "fractional": "K + (i w)^{a:.4g} D",
+    "relaxation": "K + i w D / (1 + i w {a:.3g} s)",
 }
-"""Formula, with {a} for an unknown, and meaning of each law of `laws.LAWS`."""
+"""Formula of each law of `laws.LAWS`, with {a} for an unknown."""
 
 UNKNOWN_NAMES = (
     *("delay", "phase", "gain", "fluid", "head_mass", "centre_x", "centre_y", "centre_z", "inertia"),
@@ -46,7 +46,7 @@ JsonFile = Annotated[Path, output_file(".json")]
 
 _BOUNDED = "estimator constrained"
 _NAMES = ", ".join(UNKNOWN_NAMES)
-_LAW_HELP = "; ".join(f"{name}: {form.format(a=0.5)}, {meaning}" for name, (form, meaning) in DAMPING.items())
+_LAW_HELP = "; ".join(f"{name}: {form.format(a=0.5)}" for name, form in DAMPING.items())
 
 
 class KDOptions(Options):
@@ -81,7 +81,7 @@ class KDOptions(Options):
         Literal["ml", "pinv", "constrained"],
         Opt(
             "ml: maximum likelihood, errors in all variables; pinv: least squares (paper, Eq. 5); "
-            "constrained: with signs, ranges and stability",
+            "constrained: with signs, bounds, stability",
             recommended=True,
         ),
     ] = "ml"
@@ -91,7 +91,7 @@ class KDOptions(Options):
     damping: Annotated[
         str,
         one_of((*DAMPING, COMPARE)),
-        Opt(f"damping law; {_LAW_HELP}; compare: all of them"),
+        Opt(f"{_LAW_HELP}; 0.5 is estimated; compare: all of them"),
     ] = "viscous"
     inplane: Annotated[
         Literal["auto", "load", "ignore"],

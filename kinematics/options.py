@@ -98,8 +98,7 @@ class MotionOptions(Options):
     file: Annotated[
         ReadFiles | tuple[()],
         Opt(
-            "vibrometer file or folder; several are parts of one measurement, or runs when they measure "
-            "the same points",
+            "vibrometer file or folder; several are parts of one measurement, or runs of the same points",
             example="ldv.csv",
             name="ldv",
             positional=True,
@@ -110,8 +109,7 @@ class MotionOptions(Options):
     points: Annotated[
         FileOrNone | None,
         Opt(
-            "bodies and positions of the points: body, point, x_mm, y_mm, z_mm [, sd_mm]; default "
-            "points.csv beside LDV",
+            "bodies and positions: body, point, x_mm, y_mm, z_mm [, sd_mm]; default points.csv beside LDV",
             example="points.csv",
             recommended=True,
         ),
@@ -122,7 +120,7 @@ class MotionOptions(Options):
     leave_out: Annotated[
         Texts,
         Opt(
-            "leave out a point, or one of its beams (x, -z ... or X,Y,Z as on the page); once for each",
+            "leave out a point, or one of its beams (x, -z ... or X,Y,Z as on the page); may be repeated",
             example=["stapes:3", "base:7:z"],
             repeats=True,
         ),
@@ -160,7 +158,7 @@ class MotionOptions(Options):
     body: Annotated[
         Rules,
         Opt(
-            "points of a body: stapes=1-10,12 or base=FILE or base=FILE:1-10; once for each body",
+            "points of a body: stapes=1-10,12 or base=FILE or base=FILE:1-10; may be repeated",
             _FILES,
             {"stapes": "1-10", "base": "11-19"},
             repeats=True,
@@ -169,7 +167,7 @@ class MotionOptions(Options):
     run: Annotated[
         Rules,
         Opt(
-            "the excitation that a file belongs to, push=FILE; once for each file",
+            "the excitation that a file belongs to, push=FILE; may be repeated",
             _FILES,
             {"push": "first.uff", "tilt": "second.uff"},
             repeats=True,
@@ -190,7 +188,7 @@ class MotionOptions(Options):
     channels: Annotated[
         ReadFile | None,
         Opt(
-            "of time series: which channel is what: channel, role, body, point, dir, unit (CSV)",
+            "of time series: channel, role, body, point, dir, unit (CSV)",
             _SERIES,
             "channels.csv",
         ),

@@ -33,7 +33,7 @@ class About(Options):
     ] = ""
     confirmed: Annotated[
         Words,
-        Opt("warnings that you checked: reported as confirmed, they do not lower the verdict",
+        Opt("warnings that you checked: they do not lower the verdict",
             example=["handedness_unconfirmed"]),
     ] = ()  # fmt: skip
     side: Annotated[Literal["left", "right"] | None, Opt("left or right ear", example="left")] = None
