@@ -73,11 +73,6 @@ def test_units_and_orders_of_ears_do_not_matter():
     assert other.rho == pytest.approx(one.rho, abs=1e-3)
 
 
-def test_too_few_ears_are_refused():
-    with pytest.raises(ValueError, match="more ears"):
-        law_of(LogPairs(np.arange(2.0), np.arange(2.0), np.zeros((2, 2, 2))))
-
-
 def test_a_predictor_that_is_all_error_leaves_the_exponent_open():
     pairs, _ = cohort(np.random.default_rng(6), 10, tau=0.0, error=(0.1, 0.05, 0.0))
     law = law_of(pairs)

@@ -15,7 +15,7 @@ from ct_inertia.frames.footplate_face import solve_at
 from ct_inertia.frames.footplate_sd import Influence, SurfaceError
 from ct_inertia.frames.landmarks import read_landmarks
 from ct_inertia.surface.surface import Surface
-from simulate import Stapes, stapes_solid
+from simulate import Stapes, rod, stapes_solid
 from simulate import footplate_frame as true_frame
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform, rotation_from_vector
@@ -210,11 +210,9 @@ def test_a_level_that_errs_moves_the_origin_by_its_shift() -> None:
     np.testing.assert_allclose(sd, [0.0, 4e-6, 0.0, 0.0, 0.0, 0.0])
 
 
-def test_a_ball_has_no_footplate() -> None:
-    from simulate import ellipsoid
-
-    ball = ellipsoid([0.0, 0.0, 0.0], [1.7, 1.7, 1.7], 20)
-    frame = footplate_frame(Surface(ball.vertices_mm, ball.faces))
+def test_a_round_footplate_has_no_long_axis() -> None:
+    column = rod([0.0, 0.0, 0.0], [0.0, 3.0, 0.0], 1.3, 60)
+    frame = footplate_frame(Surface(column.vertices_mm, column.faces))
     assert "long_axis_weak" in {notice.code for notice in frame.notices}
 
 

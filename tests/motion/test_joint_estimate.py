@@ -1,13 +1,9 @@
 """The model of a channel and its estimator: derivatives, covariance, priors, packing without loss."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from kinematics.joint.estimate import State, inverse, joint, system
-from kinematics.joint.expected import Layout, stated_errors
-from kinematics.joint.lasers import laser_numbers
+from kinematics.joint.estimate import State, joint, system
 from kinematics.joint.pack import Readings, pack
 from kinematics.joint.tangents import COUNT, DELAY, GAIN, GAIN_DRIFT, PHASE, SHIFT, TURN, Parameters
 from tests.motion.bodies import as_measurement, recorded
@@ -88,21 +84,3 @@ def test_turn_of_all_beams_is_found_against_the_positions():
     found = joint(packed, Parameters.of(27, [(range(27), axis, np.inf) for axis in TURN]))
     assert np.linalg.norm(found.values) == pytest.approx(np.radians(2.0), rel=0.25)
     assert found.chi2 < found.state.freedom + 5.0 * np.sqrt(2.0 * found.state.freedom)
-
-
-def test_expected_errors_are_those_of_points_and_lasers():
-    body = as_measurement(recorded(1, points=2, lines=4, position_sd_mm=0.01)).bodies[0]
-    body = replace(body, position_sd_m=np.repeat([1e-5, 0.0], 3))
-    layout = Layout(body.points, laser_numbers(body.directions), tuple(stated_errors([body])))
-    expected = layout.expected(range(6))
-    assert len(expected) == 3 + 3 * 3
-    assert expected.sd[expected.tangent == DELAY] == pytest.approx(1e-6)
-    assert len(layout.expected([3])) == 0
-    assert len(layout.expected([0])) == 3
-
-
-def test_a_singular_information_has_a_pseudo_inverse():
-    """Two parameters that do the same share what is known of their sum."""
-    matrix = 4.0 * np.ones((2, 2))
-    assert np.allclose(inverse(matrix), np.full((2, 2), 1.0 / 16.0))
-    assert np.allclose(inverse(np.diag([4.0, 0.25])), np.diag([0.25, 4.0]))

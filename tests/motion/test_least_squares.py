@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from kinematics.fit.lsq import solve
-from kinematics.fit.rigid_fit import fit_lines
 from tests.motion.bodies import as_measurement, fitted, recorded
 
 
@@ -138,18 +137,6 @@ def test_few_lines_without_stated_noise_state_their_sd(points, lines):
         ratios.append(np.mean(distance) / 6.0)
     # known to 1 %; 1.05 to 1.08 without that cost
     assert np.sqrt(np.mean(ratios)) == pytest.approx(1.0, abs=0.04)
-
-
-def test_velocities_are_fitted_as_displacements():
-    recording = recorded(3)
-    measurement = as_measurement(recording)
-    body, (fit,) = fitted(measurement)
-    omega = 2j * np.pi * recording.freq_hz
-    sd = recording.sd_m_s[0] / np.abs(omega)
-    other = fit_lines(fit.beams, body.value[0] / omega, sd, np.ones(len(omega), dtype=complex))
-    assert np.allclose(fit.q, other.q, rtol=1e-9, atol=0.0)
-    assert np.allclose(fit.covariance, other.covariance, rtol=1e-9, atol=0.0)
-    assert np.allclose(fit.channel_rms_m, other.channel_rms_m, rtol=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["none", "huber"])

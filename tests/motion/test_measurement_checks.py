@@ -9,7 +9,6 @@ from kinematics.faults.checks import check_measurement, empty_faults, screen_zer
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.motion_checks import phase_notices
 from simulate import Ear, Experiment, simulate_recording, simulate_truth
-from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform
 from stapeskit.records.rigid_motion import RigidMotion
 from stapeskit.spatial import DOF_NAMES
@@ -148,12 +147,3 @@ def test_mapping_moves_points_and_beams_together():
     assert np.allclose(1e3 * body.positions_m, turn.points(1e3 * old.positions_m))
     assert np.allclose(body.directions @ body.file_from_here.T, old.directions)
     assert np.allclose(measurement.mirrored("x").mirrored("x").bodies[0].positions_m, old.positions_m)
-
-
-def test_shapes_and_units_of_a_measurement_are_checked():
-    body = as_measurement(recorded(2)).bodies[0]
-    with pytest.raises(StapeskitError) as error:
-        BodyChannels("a", body.points[:-1], body.positions_m, 2.0 * body.directions, body.value)
-    assert len(error.value.faults) >= 3
-    with pytest.raises(StapeskitError):
-        Measurement("footplate", ("1",), recorded(2).freq_hz[::-1], (body,))

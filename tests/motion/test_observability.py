@@ -10,7 +10,7 @@ from kinematics.joint.lasers import laser_numbers
 from simulate import motion_of
 from simulate.vibrometer import laser_directions
 from stapeskit.faults import StapeskitError
-from stapeskit.spatial import DOF_NAMES, dof_indices, point_rows
+from stapeskit.spatial import DOF_NAMES
 from tests.motion.bodies import as_measurement, fitted, recorded
 
 
@@ -71,16 +71,6 @@ def test_oblique_beams_report_motion_outside_the_chosen_degrees_of_freedom():
     assert neglected_notice(fit, body) == []
 
 
-def test_leak_of_a_tilted_single_head_is_its_tangent():
-    rng = np.random.default_rng(3)
-    tilt = np.radians(15.0)
-    arms = rng.normal(size=(12, 3)) * [1e-3, 0.0, 1e-3]
-    directions = np.tile([np.sin(tilt), np.cos(tilt), 0.0], (12, 1))
-    rows = point_rows(arms, directions)
-    leak = np.linalg.lstsq(rows[:, dof_indices(("y", "alpha", "gamma"))], rows, rcond=None)[0]
-    assert leak[0, 0] == pytest.approx(np.tan(tilt))
-
-
 def test_responses_per_reference_state_their_sd():
     misses = []
     for seed in range(6):
@@ -93,10 +83,3 @@ def test_responses_per_reference_state_their_sd():
         misses.append(np.mean(np.abs(error) ** 2 / np.delete(spread, 1, axis=1) ** 2))
         assert np.all(ratio.q[0, 0, :, 1] == 1.0)
     assert abs(np.mean(misses) - 1.0) < 0.05
-
-
-def test_a_reference_must_be_a_body_and_a_degree_of_freedom():
-    motion = motion_of(recorded(1))
-    with pytest.raises(StapeskitError) as error:
-        per_reference(motion, "bone:y")
-    assert error.value.faults[0].thing == "--reference"

@@ -17,14 +17,12 @@ from kinematics.companions import with_companions
 from kinematics.options import MotionFiles, MotionOptions
 from kinematics.place.fiducials import read_fiducials
 from kinematics.points2dof import check_inputs
-from kinematics.report.page import motion_page, motion_sections, motion_verdict
+from kinematics.report.page import motion_page, motion_verdict
 from kinematics.results import ENDINGS
 from stapeskit.command_line import parse
 from stapeskit.faults import StapeskitError
-from stapeskit.options import template
 from stapeskit.provenance import frames_hash, input_record
 from stapeskit.records.motion_file import read_motion, write_motion
-from stapeskit.report.page import Page
 from stapeskit.warnings import Notice
 from tests.motion_command.ears import error_in_sd, mass_of, measured, options, rewrite, simulated, write_mass
 
@@ -90,15 +88,6 @@ def test_two_masses_beside_a_measurement_are_refused(tmp_path):
     assert caught.value.faults[0].got == "a_mass/mass.json, b_mass/mass.json"
 
 
-def test_fiducials_on_the_plate_without_a_mass_say_how_to_go_on(tmp_path):
-    simulated(tmp_path, lines=12)
-    with pytest.raises(StapeskitError) as caught:
-        points2dof(tmp_path / "ldv.csv")
-    fault = caught.value.faults[0]
-    assert fault.got == "no mass.json"
-    assert "--fiducials none" in fault.next_step
-
-
 def test_nothing_of_the_user_is_overwritten(ear, tmp_path):
     folder, _ = ear
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
@@ -135,16 +124,6 @@ def test_result_prints_a_screen_and_makes_table_and_figure(ear):
     assert len(frame) == 2 * 16
     assert len(result.plot().axes) == 12
     assert hasattr(result.plot(), "_repr_png_")  # a notebook shows it
-
-
-def test_sections_go_into_any_page(ear):
-    folder, _ = ear
-    result = points2dof(folder / "ldv.csv")
-    own, other = motion_page(result), Page("another")
-    motion_sections(other, result)
-    names = {section.name for section in (*own.sections, *own.appendix)}
-    assert names > {section.name for section in (*other.sections, *other.appendix)}
-    assert "data-scene" in own.html()
 
 
 def test_the_verdict_of_the_page_is_that_of_the_worst_warning():
@@ -272,42 +251,6 @@ def test_options_are_refused_before_anything_is_read(ear, words, thing):
     with pytest.raises(StapeskitError) as caught:
         parse("points2dof", "", (MotionOptions, MotionFiles), given)
     assert thing in {fault.thing for fault in caught.value.faults}
-
-
-def test_a_study_takes_tables_and_the_template_is_read_back(ear, tmp_path):
-    import tomllib
-
-    folder, _ = ear
-    values = {
-        "file": "ldv.csv",
-        "body": {"stapes": "1-10", "base": "11-19"},
-        "points": "none",
-        "gain_sd_percent": 2,
-    }
-    read = MotionOptions.from_study(values, "study.toml", folder)
-    assert read.body == ("stapes=1-10", "base=11-19")
-    assert read.points_file is None
-    assert read.parameters()["gain_sd_percent"] == 2.0
-    assert tomllib.loads(template("t", [MotionOptions]))["ldv"]["file"] == "ldv.csv"
-
-
-def test_channels_table_has_the_columns_of_the_contract(ear, tmp_path):
-    folder, _ = ear
-    points2dof(folder / "ldv.csv").write(tmp_path)
-    columns = list(pd.read_csv(tmp_path / "dof.channels.csv").columns)
-    assert columns == [
-        "run",
-        "body",
-        "point",
-        "dir_x",
-        "dir_y",
-        "dir_z",
-        "residual_rms_m",
-        "weight",
-        "verdict",
-        "estimate",
-        "p_value",
-    ]
 
 
 def test_a_point_that_moves_with_the_other_body_is_named(tmp_path):

@@ -114,9 +114,3 @@ def test_gains_that_scatter_without_order_raise_no_alarm():
 def test_clean_repeats_raise_few_alarms():
     alarms = sum(bool(codes(pool_repeats(repeated(seed)[0])[1])) for seed in range(100, 160))
     assert alarms <= 2
-
-
-def test_runs_without_repeats_stay_as_they_are():
-    measurement, _ = repeated(4, count=1)
-    plain = Measurement("footplate", ("a",), measurement.freq_hz, measurement.bodies)
-    assert pool_repeats(plain) == (plain, ())

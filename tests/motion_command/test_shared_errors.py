@@ -126,23 +126,6 @@ def test_patterns_of_many_points_have_the_effect_of_all_of_them(monkeypatch):
     assert np.max(np.abs(whole - few)) / np.max(np.abs(whole)) < 1e-3
 
 
-def test_errors_without_positions_are_no_patterns(monkeypatch):
-    """Nor are those of motions that no line determines."""
-    placed = measurement(points=30)
-    fits, pose = fitted(placed), Placement(transform_to_itself())
-    stated = as_stated(placed)
-    gains = replace(stated, errors=tuple(replace(error, tangent=GAIN) for error in stated.errors))
-    named = shared.shared_errors(placed, fits, pose, gains)
-    whole = shared.shared_errors(placed, fits, pose, stated)
-    monkeypatch.setattr(shared, "_MOST_BYTES", 0)
-    same = shared.shared_errors(placed, fits, pose, gains)
-    assert same.names == named.names
-    assert np.array_equal(same.covariance, named.covariance)
-    lines = replace(fits[0, 0].solution, good=np.zeros_like(fits[0, 0].solution.good))
-    none = {key: replace(fit, solution=lines) for key, fit in fits.items()}
-    assert shared.shared_errors(placed, none, pose, stated).names == whole.names
-
-
 def off_lasers(folder, gain, phase_deg=0.0):
     """Multiply what one laser reads."""
     import pandas as pd
@@ -207,16 +190,6 @@ def test_lasers_that_agree_as_stated_raise_no_alarm(tmp_path):
         chances.append(measured(folder).errors.shown.p_value)
     assert min(chances) > 1e-3
     assert max(chances) > 0.3
-
-
-def test_one_laser_has_nothing_to_agree_with():
-    placed = measurement()
-    body = placed.bodies[0]
-    along = replace(
-        placed, bodies=(replace(body, directions=np.tile([0.0, 1.0, 0.0], (len(body.points), 1))),)
-    )
-    assert len(lasers_of(along.bodies)[0]) == 1
-    assert all(error.kind == "position" for error in stated_errors(along.bodies, {"laser_gain": 0.01}))
 
 
 def test_calibration_finds_a_turn_of_all_beams(tmp_path):

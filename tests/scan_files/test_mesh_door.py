@@ -182,20 +182,6 @@ def test_files_that_are_no_meshes(tmp_path, content):
             read_mesh(path)
 
 
-@pytest.mark.parametrize("more", [50, -20])
-def test_an_stl_that_counts_other_triangles_than_it_holds_is_refused_with_both_numbers(tmp_path, more):
-    path = tmp_path / "a.stl"
-    trimesh.creation.icosphere(1, 1.5).export(path)
-    content = path.read_bytes()
-    held = int.from_bytes(content[80:84], "little")
-    path.write_bytes(content[:80] + (held + more).to_bytes(4, "little") + content[84:])
-    with pytest.raises(StapeskitError) as caught:
-        read_mesh(path)
-    fault = caught.value.faults[0]
-    assert str(held + more) in fault.expected
-    assert str(held) in fault.got
-
-
 @pytest.mark.parametrize("ending", ["stl", "ply", "obj", "glb"])
 def test_damaged_meshes_give_a_mesh_or_one_error(tmp_path, ending):
     path = tmp_path / f"a.{ending}"
