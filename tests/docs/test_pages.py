@@ -94,6 +94,8 @@ def test_python_of_the_notebook_page_runs(here, capsys):
     for source in (first, readme.splitlines()[-1], *others):
         exec(compile(source, "notebook.md", "exec"), names)
     assert len(capsys.readouterr().out.splitlines()) < 40
+    assert names["motion"].motion.q.shape == (1, 2, 200, 6)
+    assert names["wrong"] == []
     assert (here / "results_kd" / "kd.mat").is_file()
 
 
@@ -103,9 +105,6 @@ def test_exports_of_the_sample_are_read_as_the_page_says(here):
     run(first.replace("--out ", "--force --out "))
     for line in others:
         assert stapeskit.read_vibrometer(shlex.split(line)[1]).velocity.shape == (57, 200)
-    names = {}
-    exec(compile(blocks("export_from_psv", "python")[0], "export_from_psv.md", "exec"), names)
-    assert names["piston"].shape == (200,)
 
 
 def test_labels_are_corrected_by_the_script_of_the_page(here):
