@@ -103,16 +103,6 @@ def test_changes_sent_to_the_browser_give_the_picture_that_python_holds():
     assert np.array_equal(there, drawing.shown.ravel())
 
 
-@pytest.mark.parametrize("normal", [0, 1, 2])
-def test_a_disc_stays_in_its_slice(normal):
-    drawing = drawing_of(labels(), grid())
-    before = drawing.shown
-    middle = np.array(before.shape[::-1]) // 2
-    drawing.paint(middle, 3, 4, normal)
-    changed = np.argwhere(drawing.shown != before)[:, ::-1]
-    assert {*changed[:, normal]} <= {middle[normal]}
-
-
 def test_a_fast_stroke_leaves_no_gap():
     drawing = drawing_of(np.ones(SHAPE, dtype=np.uint8), grid())
     drawing.paint((2, 5, 5), 3, 2)

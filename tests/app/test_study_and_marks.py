@@ -81,13 +81,6 @@ def test_what_another_tab_has_saved_is_not_written_over(study):
     assert study.path.read_bytes() == kept
 
 
-@pytest.mark.parametrize("name", ["", "a/b", "..", "ear1"])
-def test_names_that_cannot_be_a_file_or_are_taken_are_refused(study, folder, name):
-    with pytest.raises(StapeskitError) as raised:
-        StudyFile.new(folder, name)
-    assert raised.value.faults[0].thing == "the name"
-
-
 def test_labels_take_the_place_of_seed_and_box_and_give_it_back(study, folder):
     study.put("scan", seed_mm=[1.0, 2.0, 3.0], box_mm=[0.0, 0.0, 0.0, 5.0, 5.0, 5.0])
     hand = study.kept / "labels.seg.nrrd"

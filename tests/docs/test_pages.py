@@ -15,7 +15,6 @@ from fitting.plan import Plan
 from kinematics.readers.formats import FORMATS as RECORDINGS
 from pipeline.sample import copy_sample
 from pipeline.stapeskit_command import work
-from pipeline.study import read_study
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = {path.stem: path for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))}
@@ -74,16 +73,6 @@ def test_commands_of_readme_and_first_ear_run(here):
     for name, file in (("mass", "scan_mass/mass.json"), ("kd", "kd.json"), ("kd", "results/kd.json")):
         schema = json.loads((ROOT / f"docs/schemas/{name}.schema.json").read_text(encoding="utf-8"))
         jsonschema.validate(json.loads((here / file).read_text(encoding="utf-8")), schema)
-
-
-def test_a_study_is_written_for_the_files_of_a_folder(ear, tmp_path, monkeypatch):
-    for name in ("scan.tif", "ldv.csv", "points.csv", "fiducials.csv"):
-        (tmp_path / name).symlink_to(ear / name)
-    monkeypatch.chdir(tmp_path)
-    work(["new", "--yes"])
-    study = read_study(Path("study.toml"))
-    assert study.ldv.fiducials_file == tmp_path / "fiducials.csv"
-    assert study.scan.density_kg_m3 is None  # assumed: every result says so
 
 
 def test_python_of_the_notebook_page_runs(here, capsys):

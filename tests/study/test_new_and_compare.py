@@ -123,16 +123,6 @@ def test_a_result_does_not_differ_from_itself(finished: StudyResult, tmp_path: P
             compare(finished.out, other)
 
 
-def test_folders_of_one_name_are_told_apart_by_their_paths(finished: StudyResult, tmp_path: Path) -> None:
-    for place in ("before", "after"):
-        shutil.copytree(finished.out, tmp_path / place / "out")
-    outcome = work(["compare", *(str(tmp_path / place / "out") for place in ("before", "after")),
-                    "--out", str(tmp_path / "compared")])  # fmt: skip
-    assert outcome is not None
-    names = [name for name, _ in outcome.rows]
-    assert len(set(names)) == len(names)
-
-
 def test_results_of_earlier_commands_are_no_inputs_of_a_new_study(files: Path, finished: StudyResult) -> None:
     shutil.copytree(finished.out, files / "scan_mass")
     for name in ("dof.csv", "dof.h5", "kd.mat", ".stapeskit.json"):

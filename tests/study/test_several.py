@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from pipeline.cluster import run_on_dask
-from pipeline.several import End, check_choices, folder_names, read_studies, run_here, run_studies
+from pipeline.several import check_choices, folder_names, read_studies, run_here, run_studies
 from pipeline.study import read_study, study_template
 from simulate import Truth
 from stapeskit.faults import StapeskitError
@@ -42,16 +42,6 @@ def test_a_failed_ear_stands_in_the_table_with_its_reason(small: tuple[Path, Tru
     assert list(table["study"]) == [result.cohort.ears[0].name, "two"]
     assert table["error"].iloc[1]
     assert table["verdict"].iloc[0] in ("believe", "check", "do not use")
-
-
-def test_a_runner_reports_every_end(small: tuple[Path, Truth], tmp_path: Path) -> None:
-    def runner(studies, out, force, ended):
-        for name in studies:
-            ended(name, End(2, "its machine was switched off."))
-
-    result = run_studies([small[0] / "study.toml"], tmp_path / "out", runner)
-    assert [end.code for end in result.ends.values()] == [2]
-    assert not result.cohort.laws
 
 
 def test_an_output_folder_around_an_input_is_refused(small: tuple[Path, Truth], tmp_path: Path) -> None:

@@ -86,17 +86,3 @@ def test_a_finished_study_answers(finished: StudyResult, tmp_path: Path) -> None
     assert set(table["change"]) == {"K*10", "mass+5mg@head"}
     with pytest.raises(StapeskitError):
         read_ears([(tmp_path, "none", {})])
-
-
-def test_a_run_leaves_the_files_that_are_named_and_one_record(finished: StudyResult) -> None:
-    named = "report.html mass.json stapes.ply labels.seg.nrrd"
-    named += " dof.csv dof.h5 dof.channels.csv kd.json kd.mat kd.csv"
-    assert {path.name for path in finished.out.iterdir()} == {*named.split(), ".stapeskit.json"}
-
-
-def test_the_matlab_file_holds_the_matrices(finished: StudyResult) -> None:
-    from scipy.io import loadmat
-
-    content = loadmat(finished.out / "kd.mat", squeeze_me=True)
-    assert np.array_equal(content["K"], finished.fit.stiffness)
-    assert np.array_equal(content["M"], finished.fit.mass)
