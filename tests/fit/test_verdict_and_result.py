@@ -137,9 +137,8 @@ def test_repetitions_scatter_as_the_intervals_say(ear):
 
 
 # What is stated of K22 scatters by a fifth from measurement to measurement, with how well the plane is found.
-@pytest.mark.parametrize("cone_deg", [54.7356, 20.0])
-def test_the_plan_promises_what_a_fit_of_its_own_simulated_motion_states(cone_deg):
-    plan = Plan.of(lines=40, cone_deg=cone_deg)
+def test_the_plan_promises_what_a_fit_of_its_own_simulated_motion_states():
+    plan = Plan.of(lines=40, cone_deg=20.0)
     fits = expect(plan)
     promised = fits["as planned"]
     source = stated_mass(plan)

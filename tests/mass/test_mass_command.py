@@ -21,6 +21,7 @@ from ct_inertia.scan.open_scan import open_labels
 from ct_inertia.surface.surface import Surface
 from simulate import Ear, Scan, Stapes, simulate_study, stapes_solid, write_labels
 from stapeskit.faults import StapeskitError
+from stapeskit.outputs import MANIFEST
 from stapeskit.records.mass_file import read_mass, read_mass_json
 from stapeskit.registration import displacement
 
@@ -42,6 +43,11 @@ class Study:
     @functools.cached_property
     def scanned(self) -> MassResult:
         return self.measured()
+
+    @functools.cached_property
+    def written(self) -> Path:
+        self.scanned.write(self.folder / "out")
+        return self.folder / "out"
 
     @functools.cached_property
     def labelled(self) -> MassResult:
@@ -98,33 +104,23 @@ def test_labels_alone_are_the_solid_of_their_voxels(study: Study) -> None:
     assert np.all(np.minimum(np.abs(step), np.abs(step[3:].max())) < 5.0 * sd + 1.0)
 
 
-def test_what_is_written_is_what_was_measured(study: Study, tmp_path: Path) -> None:
-    result = study.scanned
-    files = result.write(tmp_path / "out")
-    names = {path.name for path in files}
-    assert names == {
-        "mass.json",
-        "stapes.ply",
-        "plate.ply",
-        "labels.seg.nrrd",
-        "scan_crop.nrrd",
-        "report.html",
-    }
-    record = read_mass_json(tmp_path / "out" / "mass.json")
+def test_what_is_written_is_what_was_measured(study: Study) -> None:
+    result, names = study.scanned, "mass.json stapes.ply plate.ply labels.seg.nrrd scan_crop.nrrd report.html"
+    assert {path.name for path in study.written.iterdir()} == {*names.split(), MANIFEST}
+    record = read_mass_json(study.written / "mass.json")
     np.testing.assert_allclose(record.mass_matrix.matrix, result.matrix.matrix, rtol=1e-12)
     np.testing.assert_allclose(record.mass_matrix.covariance, result.matrix.covariance, rtol=1e-9)
     memory = read_mass(result)
     np.testing.assert_array_equal(memory.mass_matrix.parameters, record.mass_matrix.parameters)
     assert set(memory.meshes) == {"stapes", "plate"}
-    assert set(np.unique(open_labels(tmp_path / "out" / "labels.seg.nrrd")[0])) == {0, 1, 2, 3}
+    assert set(np.unique(open_labels(study.written / "labels.seg.nrrd")[0])) == {0, 1, 2, 3}
 
 
-def test_the_page_is_drawn_again_from_the_folder_and_the_scan(study: Study, tmp_path: Path) -> None:
-    result = study.scanned
-    result.write(tmp_path / "out")
-    content = read_mass_json(tmp_path / "out" / "mass.json").raw
-    page = mass_page(content, pictured_from(tmp_path / "out", content, study.folder / "scan.tif"))
-    first = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+def test_the_page_is_drawn_again_from_the_folder_and_the_scan(study: Study) -> None:
+    out = study.written
+    content = read_mass_json(out / "mass.json").raw
+    page = mass_page(content, pictured_from(out, content, study.folder / "scan.tif"))
+    first = (out / "report.html").read_text(encoding="utf-8")
     assert [section.name for section in page.sections][:2] == ["What was measured", "Mass matrix M"]
     assert all(f'id="{section.id}"' in first for section in (*page.sections, *page.appendix))
     shown = "".join(page.sections[0].blocks)
@@ -133,7 +129,7 @@ def test_the_page_is_drawn_again_from_the_folder_and_the_scan(study: Study, tmp_
     frames = content["frames"]
     assert frames["anterior_in_words"] in shown
     assert frames["other_choice"] in shown
-    without = mass_page(content, pictured_from(tmp_path / "out", content))
+    without = mass_page(content, pictured_from(out, content))
     assert "".join(without.sections[0].blocks).count("<svg") == shown.count("<svg") - 1
 
 

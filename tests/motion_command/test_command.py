@@ -301,7 +301,7 @@ def test_amplitudes_of_the_other_sign_of_time_are_told_before_k_and_d_are_believ
     for place, expected in ((folder, False), (tmp_path, True)):
         moved = measured(place, mass_of(truth))
         assert ("phase_convention" in {notice.code for notice in moved.notices}) is expected
-        fit = dof2kd(moved, mass=mass_of(truth))
+        fit = dof2kd(moved, mass=mass_of(truth), unknowns="none")
         codes = {notice.code for notice in fit.notices}
         assert ("phase_convention" in codes) is expected
         assert (fit.verdict.level == "do not use") is expected

@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 
 from pipeline.cluster import run_on_dask
+from pipeline.run import StudyResult
 from pipeline.several import check_choices, folder_names, read_studies, run_here, run_studies
 from pipeline.study import read_study, study_template
 from simulate import Truth
@@ -25,7 +26,9 @@ def test_folders_have_different_names() -> None:
     assert folder_names([Path("cohort.csv.toml"), Path("x/cohort.csv.toml")])[0] != "cohort.csv"
 
 
-def test_a_failed_ear_stands_in_the_table_with_its_reason(small: tuple[Path, Truth], tmp_path: Path) -> None:
+def test_a_failed_ear_stands_in_the_table_with_its_reason(
+    small: tuple[Path, Truth], finished: StudyResult, tmp_path: Path
+) -> None:
     names = []
     for name in ("one", "two"):
         folder = tmp_path / name
@@ -34,6 +37,7 @@ def test_a_failed_ear_stands_in_the_table_with_its_reason(small: tuple[Path, Tru
             (folder / path.name).write_bytes(path.read_bytes())
         names.append(folder / "study.toml")
     (tmp_path / "two" / "scan.nrrd").write_bytes(b"NRRD0004\nbroken")
+    shutil.copytree(finished.out, tmp_path / "out" / "one")  # its scan is not measured again
     lines: list[str] = []
     result = run_studies(names, tmp_path / "out", run_here(2), report=lines.append)
     assert {name: end.code for name, end in result.ends.items()} == {"one": 0, "two": 2}
