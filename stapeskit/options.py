@@ -342,9 +342,9 @@ def markdown_table(table: type[Options], flags: bool = True, without: Sequence[s
     lines = ["| option | what it does |", "|-|-|"]
     for entry in (entry for entry in table.entries() if entry.name not in without):
         metavar = "" if entry.is_flag or entry.positional else f" {entry.kind.metavar}"
-        name = f"`{entry.flag if flags else entry.key}{metavar}`"
+        name = f"{entry.flag if flags else entry.key}{metavar}"
+        name = f"<code>{name.replace('|', '&#124;')}</code>" if "|" in name else f"`{name}`"
         if flags and table.table and entry.key != entry.name:
             name += f", `{entry.key}`"
-        cells = (name, entry.meaning)
-        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+        lines.append(f"| {name} | {entry.meaning} |")
     return "\n".join(lines) + "\n"
