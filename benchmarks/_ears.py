@@ -166,16 +166,11 @@ def draw_ear(ear: RingEar, *seed: int) -> Measured:
     stated = _stated(parameters, ear)
     centre_sd = np.zeros(10)
     centre_sd[1:4] = CENTRE_SD_M * parameters[0]
-    contributions = {
-        "density": DENSITY_SD**2 * np.outer(stated, stated),
-        "centre": np.diag(centre_sd**2),
-    }
+    contributions = {"density": DENSITY_SD**2 * np.outer(stated, stated), "centre": np.diag(centre_sd**2)}
     stated = stated * (1.0 + DENSITY_SD * rng.standard_normal()) + centre_sd * rng.standard_normal(10)
     entries = [part[_PISTON][_UPPER] for part in (ligament.stiffness_si, ligament.damping_si)]
     return Measured(
-        motion=motion,
-        mass=MassMatrix(stated, contributions=contributions),
-        truth=np.concatenate(entries),
+        motion=motion, mass=MassMatrix(stated, contributions=contributions), truth=np.concatenate(entries)
     )
 
 

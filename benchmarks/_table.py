@@ -47,21 +47,11 @@ def arguments(text: str | None, **defaults: float | str) -> argparse.Namespace:
     return parser.parse_args()
 
 
-def print_head(*cells: str) -> None:
-    """Print the head of a table."""
-    print(f"| {' | '.join(cells)} |\n|{'-|' * len(cells)}", flush=True)
-
-
-def print_row(*cells: object) -> None:
-    """Print a row of a table."""
-    print(f"| {' | '.join(str(cell) for cell in cells)} |", flush=True)
-
-
 def print_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Print a table; rows appear as they are made."""
-    print_head(*head)
+    print(f"| {' | '.join(head)} |\n|{'-|' * len(head)}", flush=True)
     for row in rows:
-        print_row(*row)
+        print(f"| {' | '.join(str(cell) for cell in row)} |", flush=True)
     print(flush=True)
 
 

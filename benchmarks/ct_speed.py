@@ -28,9 +28,7 @@ from simulate import Ear, Scan, write_scan
 ROOT = Path(__file__).resolve().parents[1]
 BEFORE = "ct_speed_quick_repeat_7"
 OURS = "ct2mass"
-PEERS = {
-    "level given, VTK flying edges on the whole scan + trimesh": "vtk_trimesh",
-}
+PEERS = {"level given, VTK flying edges on the whole scan + trimesh": "vtk_trimesh"}
 COLUMNS = ("wall, least (median)", "CPU, least", "own memory")
 
 

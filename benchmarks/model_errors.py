@@ -14,14 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks._ears import Measured, RingEar, draw_ear, fluid_mg, has_alarm
-from benchmarks._table import (
-    NOTHING,
-    arguments,
-    covers,
-    percent,
-    print_table,
-    root_mean_square,
-)
+from benchmarks._table import NOTHING, arguments, covers, percent, print_table, root_mean_square
 from fitting.laws import LAWS
 from fitting.result import KDFit
 from stapeskit.arrays import Array

@@ -13,10 +13,7 @@ from playwright import sync_api
 from ct_inertia.scan.open_scan import open_labels
 from tests.app.driven import Page, Server, Tile, command_line
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.filterwarnings("ignore"),
-]
+pytestmark = [pytest.mark.browser, pytest.mark.filterwarnings("ignore")]
 SAMPLE = Path(__file__).parents[2] / "sample_volumes"
 FILES = ("scan.tif", "ldv.csv", "points.csv", "fiducials.csv")
 

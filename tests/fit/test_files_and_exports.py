@@ -10,16 +10,7 @@ from scipy.io import loadmat
 
 from fitting.cli import work
 from fitting.dof2kd import MassSource, check_chain, dof2kd
-from fitting.exports import (
-    EXPORTS,
-    abaqus,
-    ansys,
-    comsol,
-    file_names,
-    matlab,
-    prior_csv,
-    prior_json,
-)
+from fitting.exports import EXPORTS, abaqus, ansys, comsol, file_names, matlab, prior_csv, prior_json
 from stapeskit.faults import StapeskitError
 from stapeskit.records.motion_file import write_motion
 from tests.fit.fit_cases import M, fit, paper_motion

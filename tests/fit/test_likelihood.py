@@ -176,8 +176,7 @@ def test_mass_scale_moves_k_and_d_alike_and_leaves_the_modes():
     scaled = fit(
         ear.motion,
         MassMatrix(
-            ear.mass.parameters,
-            contributions={"density": 0.05**2 * np.outer(*[ear.mass.parameters] * 2)},
+            ear.mass.parameters, contributions={"density": 0.05**2 * np.outer(*[ear.mass.parameters] * 2)}
         ),
     )
     assert scaled.derived.frequency_sd_hz == pytest.approx(one.derived.frequency_sd_hz, rel=0.1)

@@ -138,7 +138,7 @@ def test_all_faults_come_together(scan_file: Path) -> None:
     with pytest.raises(StapeskitError) as raised:
         parsed("scan.tif --density 19x --box 1,2,3,0,5,6 --mirror q --band 3 --nothing")
     assert {fault.thing for fault in raised.value.faults} == {
-        *("--density", "--box", "--mirror", "--band", "--nothing"),
+        *("--density", "--box", "--mirror", "--band", "--nothing")
     }
 
 
@@ -169,7 +169,7 @@ def test_a_study_names_its_keys_and_file(scan_file: Path, tmp_path: Path) -> Non
         Scan.from_study({"file": "scan.tif", "box_mm": 3, "dens": 1}, "study.toml", tmp_path)
     faults = raised.value.faults
     assert {(fault.thing, fault.where) for fault in faults} == {
-        *(("scan.box_mm", "study.toml"), ("dens", "study.toml")),
+        *(("scan.box_mm", "study.toml"), ("dens", "study.toml"))
     }
 
 

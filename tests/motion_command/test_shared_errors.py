@@ -54,10 +54,7 @@ def with_error(placed: Measurement, mask, tangent, size):
     omega = 2.0 * np.pi * placed.freq_hz
     moved = geometry.moved(parameters, np.array([size]), np.zeros(len(omega)), omega)
     changed = replace(
-        body,
-        positions_m=moved.positions_m,
-        directions=moved.directions,
-        value=body.value / moved.factor.T,
+        body, positions_m=moved.positions_m, directions=moved.directions, value=body.value / moved.factor.T
     )
     return replace(placed, bodies=(changed,))
 

@@ -187,10 +187,7 @@ REFUSED = {
     "a rotation": (function(FREQ_HZ, VALUE, 1, 5), "a universal file"),
     "fewer values": (function(FREQ_HZ, VALUE, count=9), "a dataset"),
     "quantity and unit": (function(FREQ_HZ, VALUE, quantity=DISPLACEMENT), "a universal file"),
-    "one frequency twice": (
-        function([1.0, 1.0, 2.0, 3.0], VALUE, even=False),
-        "the frequencies",
-    ),
+    "one frequency twice": (function([1.0, 1.0, 2.0, 3.0], VALUE, even=False), "the frequencies"),
     "time alone": (function(FREQ_HZ, VALUE.real, kind=TIME, form=4, abscissa=17), "a universal file"),
     "a curved system": (system_18(7, (0, 0, 0), (1, 0, 0), (1, 0, 1), shape=1), "coordinate system 7"),
 }

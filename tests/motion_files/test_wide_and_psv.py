@@ -9,14 +9,7 @@ from kinematics.readers.facts import FileFacts
 from kinematics.readers.formats import read_file
 from kinematics.readers.wide import meaning
 from stapeskit.faults import StapeskitError
-from tests.motion_files.written_files import (
-    FREQ_HZ,
-    PLACES_M,
-    VELOCITY,
-    fastscan,
-    point_block,
-    wide_table,
-)
+from tests.motion_files.written_files import FREQ_HZ, PLACES_M, VELOCITY, fastscan, point_block, wide_table
 
 
 def written(folder, text, name="ldv.csv"):

@@ -130,10 +130,7 @@ def test_detached_voxels_of_every_kind(tmp_path):
         scan = open_scan(w.nrrd(tmp_path / f"{name}.nhdr", array, **fields))
         assert np.array_equal(scan.read(), array), name
         assert len(scan.files) == 2, name
-    for name, data, fields in (
-        ("head", "v.raw", {"HeaderSize": 8}),
-        ("back", "v.raw", {"HeaderSize": -1}),
-    ):
+    for name, data, fields in (("head", "v.raw", {"HeaderSize": 8}), ("back", "v.raw", {"HeaderSize": -1})):
         scan = open_scan(w.meta(tmp_path / f"{name}.mhd", array, data=data, **fields))
         assert np.array_equal(scan.read(), array), name
 

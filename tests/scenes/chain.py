@@ -20,11 +20,7 @@ from stapeskit.records.rigid_motion import RigidMotion
 from stapeskit.spatial import dof_indices, parameters_from_matrix
 from tests.scenes.scenes import Scene
 
-COMMANDS = {
-    "ct2mass": "ct_inertia.cli",
-    "points2dof": "kinematics.cli",
-    "dof2kd": "fitting.cli",
-}
+COMMANDS = {"ct2mass": "ct_inertia.cli", "points2dof": "kinematics.cli", "dof2kd": "fitting.cli"}
 # One scene in ten thousand that is right falls beyond this.
 _LEVEL = 1e-4
 

@@ -193,8 +193,7 @@ SCENES: dict[str, Scene] = {
         points2dof="--dof y,alpha,gamma",
     ),
     "missing_values": _points(
-        Experiment(lines=80, in_footplate=True, missing=0.1, missing_band=True, seed=9),
-        ("file_read",),
+        Experiment(lines=80, in_footplate=True, missing=0.1, missing_band=True, seed=9), ("file_read",)
     ),
     "three_excitations": _points(
         Experiment(lines=60, in_footplate=True, excitations=("x", "y", "z"), seed=10)
@@ -226,10 +225,7 @@ SCENES: dict[str, Scene] = {
     # the whole chain, registered by fiducials on the plate
     "whole_ear": Scene(scan=Scan(voxel_um=34.0, seed=12), experiment=_PLANE, fits=True),
     "whole_right_ear": Scene(
-        ear=Ear(stapes=Stapes(mirrored=True)),
-        scan=Scan(voxel_um=34.0, seed=13),
-        experiment=_PLANE,
-        fits=True,
+        ear=Ear(stapes=Stapes(mirrored=True)), scan=Scan(voxel_um=34.0, seed=13), experiment=_PLANE, fits=True
     ),
     "fiducials_in_the_scan": Scene(
         ear=Ear(plate=False),
