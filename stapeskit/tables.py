@@ -111,10 +111,13 @@ def read_table(path: Path, choose: Choose) -> Table:
         assumed, there = Place(sheet.file, "line", (1,)), Place(sheet.file, "line", (sheet.line - 1,))
         faults = (replace(fault, where=there) if fault.where == assumed else fault for fault in error.faults)
         raise StapeskitError(*faults) from error
-    if not sheet.body:
-        step, want = "Export it again", "a table with rows below its header"
-        raise StapeskitError.of(sheet.file, want, "the header alone", next_step=step)
-    return _read_alike(sheet, numbers, texts) or _read_cells(sheet, numbers, texts)
+    table = _read_alike(sheet, numbers, texts) or _read_cells(sheet, numbers, texts)
+    if not (len(table) or table.faults):
+        want, got, step = "a table with rows below its header", "the header alone", "Export it again"
+        if table.left_out:
+            got, step = "rows that begin with # alone", "Remove that mark, or rename what begins with it"
+        raise StapeskitError.of(sheet.file, want, got, next_step=step)
+    return table
 
 
 def write_columns(path: Path, columns: Mapping[str, Iterable[object]]) -> None:

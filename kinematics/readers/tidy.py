@@ -73,8 +73,6 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
 
     table = read_table(Path(path), choose)
     faults = [*table.faults, *_number_faults(table, found[0])]
-    if not len(table):
-        faults = faults or [Fault(table.file, "a table with rows of values", "none", "", "Export it again")]
     rows = _rows_of(table, found[0], faults) if len(table) else []
     raise_all(faults)
     recording = recording_of(table.file, rows, statement="as its columns say")
