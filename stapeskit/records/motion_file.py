@@ -157,7 +157,8 @@ def read_motion(path: Path) -> RigidMotion:
     if path.suffix.lower() in (".h5", ".hdf5"):
         return _read_h5(path)[0]
     if path.suffix.lower() != ".csv":
-        raise StapeskitError.of("a motion file", "a .csv or .h5 file of points2dof", path.name)
+        step = "Give the dof.csv or dof.h5 that points2dof wrote"
+        raise StapeskitError.of("a motion file", "a .csv or .h5 file", path.name, "", step)
     beside = path.with_suffix(".h5")
     if beside.is_file():
         motion, csv_hash = _read_h5(beside)

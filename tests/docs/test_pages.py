@@ -14,8 +14,11 @@ import stapeskit
 from ct_inertia.scan.formats import FORMATS as SCANS
 from fitting.plan import Plan
 from kinematics.readers.formats import FORMATS as RECORDINGS
+from pipeline.options_page import options_page
 from pipeline.sample import copy_sample
 from pipeline.stapeskit_command import work
+from stapeskit import warnings
+from tools.evidence import BLOCK, filled
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = {path.stem: path for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))}
@@ -162,6 +165,13 @@ def test_every_format_is_on_its_page():
     recordings = PAGES["vibrometer_files"].read_text(encoding="utf-8")
     for entry in RECORDINGS:
         assert f"| {entry.words} | {entry.reads} |" in recordings
+
+
+def test_pages_that_are_made_from_the_sources_are_those_of_now():  # make docs writes them
+    evidence = PAGES["evidence"].read_text(encoding="utf-8")
+    assert PAGES["warnings"].read_text(encoding="utf-8") == warnings.page()
+    assert PAGES["options"].read_text(encoding="utf-8") == options_page()
+    assert BLOCK.sub(filled, evidence) == evidence
 
 
 def test_the_website_has_every_page():
