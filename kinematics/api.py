@@ -78,19 +78,17 @@ def read_vibrometer(
         ``freq_hz`` (L,), ``points_m`` (P, 3), ``directions`` (P, 3), ``frf`` or ``velocity`` (P, L)
         complex, ``coherence`` (P, L) or None, ``sd`` (P, L) or None, ``units``, ``reference``;
         ``to_frame()``, ``plot()``.
-        Amplitudes and positions of which the file does not say the unit are as in the file and in metres: see
-        ``amplitude_stated`` and ``length_stated``.
+        What the file does not say, such as peak or rms, is in ``lacks`` and, with what was assumed, in
+        ``notices``.
 
     Raises
     ------
     StapeskitError
         The file is missing, damaged, of no known format, or holds no motion with a phase.
     """
-    from kinematics.readers.facts import FileFacts, with_facts
+    from kinematics.readers.facts import FileFacts
     from kinematics.readers.formats import read_file
 
-    facts = FileFacts(
-        n_avg=n_avg,
-        channels=None if channels is None else Path(channels),
+    return read_file(
+        Path(path), FileFacts(n_avg=n_avg, channels=None if channels is None else Path(channels))
     )
-    return with_facts(read_file(Path(path), facts), facts)

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinematics.measurement import BodyChannels, Measurement, Repeat
-from kinematics.readers.facts import FileFacts, assumptions, with_bodies, with_facts, with_runs
+from kinematics.readers.facts import FileFacts, with_bodies, with_runs
 from kinematics.readers.formats import format_of, read_file
-from kinematics.readers.gather import on_one_grid, twice_faults
-from kinematics.readers.lines import check_filled, grid_faults
+from kinematics.readers.lines import check_filled
 from kinematics.readers.points import Points, read_points
 from kinematics.readers.recording import QUANTITY_OF_ORDER, Recording, Row
+from kinematics.readers.settle import on_one_grid, twice_faults
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError, collect_faults, list_some, raise_all
 from stapeskit.warnings import Notice, unique
@@ -25,7 +26,6 @@ Take = tuple[str, str]
 
 _SAME_PLACE_M = 1e-6  # positions written with four digits
 _MOST_HIDDEN = 0.5  # share of values up to which the noise of a usual channel is known
-_ONE_RUN = "Name different excitations with --run NAME=FILE, or leave one of the two out"
 
 
 def read_measurement(
@@ -80,7 +80,7 @@ def assemble(
     facts: FileFacts | None = None,
     frame: str = "vibrometer",
 ) -> Measurement:
-    """Assemble the recordings of one or several files to one measurement.
+    """Assemble the recordings of one or several files, settled, to one measurement.
 
     Parameters
     ----------
@@ -101,20 +101,18 @@ def assemble(
     """
     facts = facts or FileFacts()
     raise_all(facts.unused(recordings))
-    notices = [notice for one in recordings for notice in (*one.notices, *assumptions(one, facts))]
-    rows = [row for one in recordings for row in with_facts(one, facts).rows]
-    rows, about_lines = on_one_grid(rows)
+    rows, about_lines = on_one_grid([row for one in recordings for row in one.rows])
     rows, about_bodies = with_bodies(rows, points, facts)
     rows, about_runs = with_runs(rows, facts)
     raise_all(_row_faults(rows))
-    raise_all(twice_faults(rows, _ONE_RUN))
+    raise_all(twice_faults(rows))
     order = Counter(row.order for row in rows).most_common(1)[0][0]
     rows = [_as_order(row, order) for row in rows]
     takes = list(dict.fromkeys((row.run, row.repeat) for row in rows))
     freq_hz = rows[0].freq_hz
-    check_filled(
-        len(takes) * len({(row.body, row.beam) for row in rows}), len(freq_hz), len(rows) * len(freq_hz)
-    )
+    channels = len({(row.body, row.beam) for row in rows})
+    check_filled(len(takes) * channels, len(freq_hz), len(rows) * len(freq_hz))
+    notices = [notice for one in recordings for notice in one.notices]
     notices += [*about_bodies, *about_runs, *about_lines]
     if units := sorted({row.per for row in rows} - {""}):
         text = (
@@ -126,9 +124,11 @@ def assemble(
     for name in dict.fromkeys(row.body for row in rows):
         with collect_faults(faults):
             bodies.append(_body([row for row in rows if row.body == name], takes, points, notices))
-    raise_all(faults)
     present = {body.body: np.any(~np.isnan(body.value.real), axis=(0, 1)) for body in bodies}
-    raise_all(grid_faults(freq_hz, present))
+    raise_all([*faults, *_grid_faults(freq_hz, present)])
+    if len({name.lower() for name in present}) < len(present):
+        text = f"bodies whose names differ in case only were taken as different: {', '.join(present)}."
+        notices.append(Notice("file_read", text))
     repeats = tuple(Repeat(run, repeat) for run, repeat in takes)
     several = len({run for run, _ in takes}) < len(takes)
     return Measurement(
@@ -178,7 +178,7 @@ def _as_order(row: Row, order: int) -> Row:
 def _body(
     rows: Sequence[Row], takes: Sequence[Take], points: Points | None, notices: list[Notice]
 ) -> BodyChannels:
-    """Arrange the rows of one body by run, channel and line; what it did not use is added to the notices.
+    """Arrange the rows of one body by run, channel and line; add what is missing and what is not used.
 
     Where some sd are absolute, values whose sd lacks a factor have none. Where the last digit of coherence
     hides the noise of most values, that of the body is known up to a factor.
@@ -188,28 +188,34 @@ def _body(
         first.setdefault(row.beam, row)
     channel_of = {beam: channel for channel, beam in enumerate(first)}
     value = np.full((len(takes), len(first), len(rows[0].freq_hz)), np.nan, dtype=complex)
-    spread = np.full(value.shape, np.nan)
+    spread, listed = np.full(value.shape, np.nan), np.zeros((*value.shape[:2], 1), dtype=bool)
     noisy = [row for row in rows if row.sd is not None and not np.all(np.isnan(row.sd))]
     relative = all(row.relative for row in noisy)
     for row in rows:
         own = ~np.isnan(row.value.real)
         place = takes.index((row.run, row.repeat)), channel_of[row.beam]
-        value[place][own] = row.value[own]
+        value[place][own], listed[place] = row.value[own], True
         if row.sd is not None and row.relative == relative:
             spread[place][own] = np.asarray(row.sd)[own]
-    positions = _positions(rows, points)
-    unused = int(np.sum(np.isnan(spread) & ~np.isnan(value.real)))
+    positions, missing = _positions(rows, points), np.isnan(value.real)
+    gaps = missing & listed & ~np.all(missing, axis=1, keepdims=True)
+    lacking = [row.name for row, one in zip(first.values(), gaps.swapaxes(0, 1), strict=True) if np.any(one)]
     hidden = float(np.mean([row.hidden for row in noisy if row.relative == relative])) if noisy else 0.0
-    if 0.0 < hidden <= _MOST_HIDDEN and not relative:
-        text = (
-            f"the coherence of {100.0 * hidden:.2g} % of the values of body {name} is 1 within its last "
-            "digit: their noise may be smaller than stated."
-        )
-        notices.append(Notice("file_read", text))
-    if noisy and unused:
-        text = f"{unused} values of body {name} have no standard deviation and were not used."
-        notices.append(Notice("file_read", text))
-    listed = {} if points is None else points.sd_m
+    coarse = 0.0 if relative or hidden > _MOST_HIDDEN else 100.0 * hidden
+    unused = int(np.sum(np.isnan(spread) & ~missing)) if noisy else 0
+    exact = int(np.sum(spread == 0.0))
+    texts = (
+        (len(lacking), "file_read", f"{np.sum(gaps)} readings of {len(lacking)} channels "
+         f"({list_some(lacking, 6)}) have no value at lines that other channels of the body have: they count "
+         "as missing."),
+        (coarse, "file_read", f"the coherence of {coarse:.2g} % of the values of body {name} is 1 within its "
+         "last digit: their noise may be smaller than stated."),
+        (unused, "file_read", f"{unused} values of body {name} have no standard deviation: not used."),
+        (exact, "noise_level", f"{exact} values of body {name} have a noise of 0: they are exact to 1e-12 of "
+         "the largest."),
+    )  # fmt: skip
+    notices += [Notice(code, text) for count, code, text in texts if count]
+    sd_m = {} if points is None else points.sd_m
     return BodyChannels(
         name,
         tuple(row.point for row in first.values()),
@@ -218,7 +224,7 @@ def _body(
         value,
         spread if noisy else None,
         relative or hidden > _MOST_HIDDEN,
-        np.array([listed.get((name, row.point), np.nan) for row in first.values()], dtype=float),
+        np.array([sd_m.get((name, row.point), np.nan) for row in first.values()], dtype=float),
     )
 
 
@@ -253,3 +259,24 @@ def _positions(rows: Sequence[Row], points: Points | None) -> dict[str, Array]:
         faults.append(Fault(thing, "given with positions, as others are", "none", "", step))
     raise_all(faults)
     return {point: found[point][0] for point in measured if point in found}
+
+
+def _grid_faults(freq_hz: Array, present: Mapping[str, NDArray[np.bool_]]) -> list[Fault]:
+    """List the bodies that share less than half of the lines that they could share with the first one.
+
+    ``present`` says by body where it was measured, (L,).
+    """
+    faults = []
+    measured = [(name, np.flatnonzero(row)) for name, row in present.items() if np.any(row)]
+    for name, lines in measured[1:]:
+        first_name, first = measured[0]
+        common = len(np.intersect1d(first, lines))
+        low, high = max(first[0], lines[0]), min(first[-1], lines[-1])
+        within = min(int(np.sum((own >= low) & (own <= high))) for own in (first, lines))
+        if not common or 2 * common < within:
+            want = "the same within 1 % of their spacing and 1e-4, as far as both bodies were measured"
+            ends = [(len(own), freq_hz[own[0]], freq_hz[own[-1]]) for own in (first, lines)]
+            spans = " and ".join("{} from {:.8g} to {:.8g} Hz".format(*end) for end in ends)
+            thing, got = f"the frequencies of bodies {first_name} and {name}", f"{spans}, {common} in common"
+            faults.append(Fault(thing, want, got, "", "Measure both on one grid"))
+    return faults

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 
 from kinematics.readers.points import Points
 from kinematics.readers.recording import Recording, Row
-from kinematics.readers.units import LENGTHS
+from kinematics.readers.units import LENGTHS, MotionUnit
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, list_some, raise_all
 from stapeskit.frames import axis_vector
@@ -56,20 +56,57 @@ class FileFacts:
         rules = (text.partition("=") for text in self.run)
         return {file.strip(): name.strip() for name, _, file in rules}
 
-    def unused(self, recordings: Sequence[Recording]) -> list[Fault]:
+    def unused(self, recordings: Iterable[Recording]) -> list[Fault]:
         """List the options that were given but that no file needs."""
-        needed = {
-            "beam": any(np.any(np.isnan(one.directions)) for one in recordings),
-            "amplitude": any(not one.amplitude_stated and one.frf is None for one in recordings),
-            "length_unit": any(not one.length_stated for one in recordings),
-            "n_avg": any(one.n_avg is None and one.sd is None for one in recordings),
-        }
+        needed = frozenset[str]().union(*(one.lacks for one in recordings))
         want, step = "left out where the files say it, or need none", "Leave it out, or correct the file"
         return [
             Fault(f"--{name.replace('_', '-')}", want, "a value", "", step)
-            for name, need in needed.items()
-            if getattr(self, name) and not need
+            for name in ("beam", "amplitude", "length_unit", "n_avg")
+            if getattr(self, name) and name not in needed
         ]
+
+
+def with_facts(
+    rows: Sequence[Row], found: Recording, facts: FileFacts
+) -> tuple[list[Row], frozenset[str], list[Notice]]:
+    """Return the rows with what is stated, what their file does not say, and what is assumed in its place."""
+    silent = {
+        "beam": any(np.any(np.isnan(row.direction)) for row in rows),
+        "amplitude": any(_may_be_rms(row) for row in rows),
+        "length_unit": not found.length_stated,
+        "n_avg": all(row.n_avg is None and row.sd is None for row in rows),
+    }
+    lacks, notices = frozenset(name for name, lacking in silent.items() if lacking), list[Notice]()
+    places = np.array([row.position_m for row in rows if not np.any(np.isnan(row.position_m))])
+    if "length_unit" in lacks and len(places) and not facts.length_unit:
+        extent = " x ".join(f"{1e3 * span:.4g}" for span in np.ptp(places, axis=0))
+        text = (
+            f"{found.file} does not say the unit of its positions: taken as metres they extend over {extent} "
+            "mm. State --length-unit m, mm or um."
+        )
+        notices.append(Notice("length_unit_assumed", text))
+    if "amplitude" in lacks and not facts.amplitude:
+        text = f"{found.file} does not say whether amplitudes are peak or rms: they were taken as peak."
+        notices.append(Notice("amplitude_assumed", text))
+    length = LENGTHS[facts.length_unit] if facts.length_unit and "length_unit" in lacks else 1.0
+    changed = []
+    for row in rows:
+        stated: dict[str, Any] = {"position_m": row.position_m * length}
+        if facts.beam and np.any(np.isnan(row.direction)):
+            stated["direction"] = direction_of(facts.beam)
+        if facts.amplitude == "rms" and _may_be_rms(row):
+            stated["value"] = row.value * np.sqrt(2.0)
+            stated["sd"] = None if row.sd is None else row.sd * np.sqrt(2.0)
+        if facts.n_avg is not None and "n_avg" in lacks:
+            stated["n_avg"] = np.full(row.value.shape, float(facts.n_avg))
+        changed.append(replace(row, **stated))
+    return changed, lacks, notices
+
+
+def _may_be_rms(row: Row) -> bool:
+    """Return whether nothing says if values are peak or rms, which for a response is one."""
+    return isinstance(row.unit, MotionUnit) and not row.unit.per and not row.unit.amplitude
 
 
 def _rule(text: str) -> tuple[str, tuple[tuple[str, str], ...]]:
@@ -120,45 +157,6 @@ def direction_of(text: str, where: Place | str = "", thing: str = "--beam") -> A
     if numbers.shape != (3,) or not 0.0 < length < np.inf:
         raise StapeskitError.of(thing, "x, -y ... or three numbers X,Y,Z", text, where)
     return np.asarray(numbers / length)
-
-
-def assumptions(recording: Recording, facts: FileFacts) -> list[Notice]:
-    """Report what is assumed because neither the file nor the user says it."""
-    notices, file = [], recording.file
-    placed = recording.points_m[np.all(np.isfinite(recording.points_m), axis=1)]
-    if not recording.length_stated and len(placed) and not facts.length_unit:
-        extent = " x ".join(f"{1e3 * span:.4g}" for span in np.ptp(placed, axis=0))
-        text = (
-            f"{file} does not say the unit of its positions: taken as metres they extend over {extent} mm. "
-            "State --length-unit m, mm or um."
-        )
-        notices.append(Notice("length_unit_assumed", text))
-    if not recording.amplitude_stated and recording.frf is None and not facts.amplitude:
-        text = f"{file} does not say whether amplitudes are peak or rms: they were taken as peak."
-        notices.append(Notice("amplitude_assumed", text))
-    return notices
-
-
-def with_facts(recording: Recording, facts: FileFacts) -> Recording:
-    """Return a recording with beam, averages, amplitude and length unit applied where the file is silent.
-
-    The noise that follows from its averages and coherence is stated in ``sd``.
-    """
-    length = LENGTHS[facts.length_unit] if facts.length_unit and not recording.length_stated else 1.0
-    rms = facts.amplitude == "rms" and not recording.amplitude_stated
-    silent = recording.n_avg is None and recording.sd is None
-    rows = []
-    for row in recording.rows:
-        changed: dict[str, Any] = {"position_m": row.position_m * length}
-        if facts.beam and np.any(np.isnan(row.direction)):
-            changed["direction"] = direction_of(facts.beam)
-        if rms and not row.per:
-            changed["value"] = row.value * np.sqrt(2.0)
-            changed |= {} if row.sd is None else {"sd": row.sd * np.sqrt(2.0)}
-        if facts.n_avg is not None and silent:
-            changed["n_avg"] = np.full(row.value.shape, float(facts.n_avg))
-        rows.append(replace(row, **changed))
-    return replace(recording, rows=tuple(rows)).with_noise()
 
 
 def with_bodies(

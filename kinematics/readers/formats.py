@@ -32,7 +32,6 @@ _EXPORT_STEP = (
     "Export the spectra of all points in the program that wrote it, as UFF (universal file, with geometry) "
     "or as ASCII (Real & Imag.), and give that file or folder"
 )
-_DESCRIBED_STEP = "State what it says by the header, --amplitude, --body, --run, --beam; then move it away"
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,7 @@ FORMATS = (
     ),
     Format(
         "uff", "a universal file (.uff, .unv)", lambda head: bool(_UFF.match(head.content)),
-        "functions (58, 58b), nodes (15, 2411), coordinate systems (18, 2420), units (164)",
+        "functions (58, 58b), nodes (15, 2411) in the global system, units (164)",
         libraries=("pyuff",),
     ),
     Format(
@@ -125,32 +124,28 @@ FORMATS = (
 
 
 def read_file(path: Path, facts: FileFacts) -> Recording:
-    """Read a file or folder of any known format; libraries run in a child process with limits.
+    """Read and settle a file or folder of any known format; libraries run in a child process with limits.
 
     Raises
     ------
     StapeskitError
-        There is no such file, nothing known is in it, it is damaged, or a description of its columns as
-        version 0.2 read it is beside it.
+        There is no such file, nothing known is in it, or it is damaged; as `kinematics.readers.settle`.
     """
+    from kinematics.readers.settle import settled
+    from stapeskit.sandbox import read_apart, size_on_disk
+
     path = Path(path)
     path = path if path.name else path.resolve()  # the folder "." has no name
     entry = format_of(path)
-    described = path.with_name(f"{path.name}.toml")
-    if path.is_file() and described.is_file():
-        thing, want = f"a description {described.name}", "not beside the file"
-        raise StapeskitError.of(thing, want, "one of version 0.2", path.name, _DESCRIBED_STEP)
     module = f"kinematics.readers.{'series' if entry.series and facts.channels else entry.name}"
     read: Callable[[Path, FileFacts], Recording] = import_module(module).read
     try:
         if not entry.libraries or (entry.name == "series" and path.suffix.lower() in TEXT_ENDINGS):
-            return read(path, facts)
-        from stapeskit.sandbox import read_apart, size_on_disk
-
+            return settled(read(path, facts), facts)
         limit_s = _LIMIT_S + _LIMIT_S_PER_BYTE * size_on_disk(path)
-        return read_apart(
-            lambda: read(path, facts), path, entry.words, limit_s, modules=(module, *entry.libraries)
-        )
+        modules = (module, *entry.libraries)
+        found = read_apart(lambda: read(path, facts), path, entry.words, limit_s, modules=modules)
+        return settled(found, facts)
     except OSError as fault:
         got, step = fault.strerror or "an error of the system", "Check its name, folder and permissions"
         raise StapeskitError.of("the vibrometer file", "readable", got, path.name, step) from fault

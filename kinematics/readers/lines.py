@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, StapeskitError
+from stapeskit.faults import StapeskitError
 from stapeskit.warnings import Notice
-
-Index = NDArray[np.intp]
 
 SAME_LINE = 1e-6
 """Relative difference of one frequency in two places: files have six digits."""
@@ -26,7 +24,7 @@ _LEAST_FILLED = 0.01  # a run for each of 100 lines fills 1 in 100; what fills l
 _ANY_PLACES = 4_000_000  # 64 MB of values, of which any share may be empty
 
 
-def common_grid(grids: Sequence[Array]) -> tuple[Array, list[Index], list[Notice]]:
+def common_grid(grids: Sequence[Array]) -> tuple[Array, list[NDArray[np.intp]], list[Notice]]:
     """Join grids of frequencies, (l,) each, ascending, in Hz.
 
     Returns the frequencies (L,), of the first grid that has each line; which line each frequency of a grid
@@ -49,8 +47,7 @@ def common_grid(grids: Sequence[Array]) -> tuple[Array, list[Index], list[Notice
         f"frequencies that differ by up to {widest:.2g} Hz between channels were taken as one line (within "
         "1 % of the line spacing and 1e-4 of the frequency)."
     )
-    notices = [Notice("file_read", text)] if widest > 0.0 else []
-    return lines, [places[key] for key in keys], notices
+    return lines, [places[key] for key in keys], [Notice("file_read", text)] if widest > 0.0 else []
 
 
 def _joined_within(grid: Array) -> Array:
@@ -71,29 +68,3 @@ def check_filled(rows: int, lines: int, readings: int, where: str = "") -> None:
         got = f"{readings} readings of {rows} channels and runs in {lines} lines"
         step = "Check which columns hold the frequency and the run: one has a new value in almost every row"
         raise StapeskitError.of("the readings", "at lines and in runs that channels share", got, where, step)
-
-
-def grid_faults(freq_hz: Array, present: Mapping[str, NDArray[np.bool_]]) -> list[Fault]:
-    """List the bodies that share less than half of the lines that they could share with the first one.
-
-    ``present`` says by body where it was measured, (L,).
-    """
-    faults = []
-    measured = [(name, np.flatnonzero(row)) for name, row in present.items() if np.any(row)]
-    for name, lines in measured[1:]:
-        first_name, first = measured[0]
-        common = len(np.intersect1d(first, lines))
-        low, high = max(first[0], lines[0]), min(first[-1], lines[-1])
-        within = min(int(np.sum((own >= low) & (own <= high))) for own in (first, lines))
-        if not common or 2 * common < within:
-            want = "the same within 1 % of their spacing and 1e-4, as far as both bodies were measured"
-            spans = [
-                f"{len(own)} from {freq_hz[own[0]]:.8g} to {freq_hz[own[-1]]:.8g} Hz"
-                for own in (first, lines)
-            ]
-            thing, got = (
-                f"the frequencies of bodies {first_name} and {name}",
-                f"{' and '.join(spans)}, {common} in common",
-            )
-            faults.append(Fault(thing, want, got, "", "Measure both on one grid"))
-    return faults

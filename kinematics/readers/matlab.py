@@ -18,30 +18,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.readers.facts import FileFacts, direction_of
-from kinematics.readers.gather import from_parts, recording_of
-from kinematics.readers.recording import Recording, Row, unknown_vector
+from kinematics.readers.recording import NOISE, Recording, Row, from_parts, unknown_vector
 from kinematics.readers.text import plain_name
 from kinematics.readers.tree import OPAQUE, read_tree
-from kinematics.readers.units import HERTZ, LENGTHS
+from kinematics.readers.units import LENGTHS
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, Place, StapeskitError, collect_faults, list_some, raise_all
+from stapeskit.faults import Fault, Place, StapeskitError, collect_faults, list_some
 from stapeskit.warnings import Notice
 
 NAMES = {
-    "frequency": ("freq_hz", "freq", "frequency", "frequencies", "f", "f_hz", "x"),
-    "position": ("xyz", "xyz_mm", "xyz_m", "xyz_um", "coordinates", "position", "positions", "position_mm"),
+    "frequency": ("freq_hz", "f_hz", "freq", "frequency", "frequencies", "f", "x"),
+    "position": ("xyz", *(f"{name}_{unit}" for name in ("xyz", "position") for unit in ("mm", "m", "um")),
+                 "coordinates", "position", "positions"),
     "points": ("points", "point", "names", "name", "labels", "index"),
     "coherence": ("coh", "coherence", "gamma2"),
     "sd": ("sd",),
     "n_avg": ("n_avg", "navg", "averages"),
     "unit": ("unit", "units", "yunit"),
     "direction": ("direction", "directions", "dir"),
-}
+}  # fmt: skip
 """Names that variables may have, in any case, by what they hold."""
 
 VALUES = ("y", "v", "amp", "vib", "fft", "frf", "h1", "h2", "value")
 _VALUE = re.compile(rf"((?:{'|'.join(VALUES)})?(?:_?([xyz]))?)_?(re|im|real|imag)?")
-_DESCRIPTIONS = ("usd", "usd_x", "usd_y", "usd_z")
 _DOF_TEXT = re.compile(r"ptc(Plus|Minus)([XYZ])Translation")  # names of Polytec's PTCDirection
 _OPAQUE_STEP = (
     "Save them as char, cell array or numbers: names = cellstr(names); unit = char(unit); y = table.y; then "
@@ -59,35 +58,32 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     Raises
     ------
     StapeskitError
-        The file is damaged, its layout is not recognised (the variables found are listed), shapes do not
-        match, or values are not complex; as `kinematics.readers.gather.recording_of`.
+        The file is damaged, or its layout is not recognised (the variables found are listed). Shapes that do
+        not match and values that are not complex are with the recording.
     """
-    path, notices = Path(path), list[Notice]()
+    path, notices, faults, rows = Path(path), list[str](), list[Fault](), list[Row]()
     tree = read_tree(path)
     opaque = [name for name, value in tree.items() if isinstance(value, str) and value == OPAQUE]
-    unread = f"MATLAB strings, tables or objects ({', '.join(opaque)})"
-    if opaque:
-        notices.append(Notice("file_read", f"{path.name}: {unread} were not read. {_OPAQUE_STEP}."))
-    try:
+    unread, held = f"MATLAB strings, tables or objects ({', '.join(opaque)})", list[Variables]()
+    with collect_faults(faults):
         held = _variables_of({name: one for name, one in tree.items() if name not in opaque}, path.name)
-        if unknown := list_some((name for one in held for name in one.unknown()), 12):
-            text = f"{path.name}: {unknown} have a value a frequency, but are no names of values: left out."
-            notices.append(Notice("file_read", text))
-        if square := list_some((name for one in held for name in one.square()), 6):
-            text = f"{path.name}: {square} have as many rows as columns: their rows were taken as points."
-            notices.append(Notice("file_read", text))
-        return recording_of(
-            path.name,
-            [row for one in held for row in one.rows()],
-            "Keep one of the signals, and save each excitation to a file of its own",
-            notices=notices,
-            statement=f"variables of {path.name}",
-            length_stated=all(one.length_unit or not one.name("position") for one in held),
-        )
-    except StapeskitError as error:
-        want = "of char, cell or number arrays"
-        first = [Fault("the variables", want, unread, path.name, _OPAQUE_STEP)] if opaque else []
-        raise StapeskitError(*first, *error.faults) from None
+    for one in held:
+        rows += one.rows(faults)
+    if opaque and (faults or not all(row.unit for row in rows)):
+        faults.insert(0, Fault("the variables", "of char, cell or number arrays", unread, "", _OPAQUE_STEP))
+    notices += [f"{unread} were not read. {_OPAQUE_STEP}."] if opaque else []
+    if left_out := list_some((name for one in held for name in one.unknown()), 12):
+        notices.append(f"{left_out} have a value a frequency, but are no names of values: left out.")
+    if square := list_some((name for one in held for name in one.square()), 6):
+        notices.append(f"{square} have as many rows as columns: their rows were taken as points.")
+    return Recording(
+        path.name,
+        tuple(rows),
+        tuple(Notice("file_read", f"{path.name}: {text}") for text in notices),
+        f"variables of {path.name}",
+        length_stated=all(one.length_unit or not one.name("position") for one in held),
+        faults=tuple(faults),
+    )
 
 
 def _variables_of(tree: Mapping[str, Any], file: str) -> list[Variables]:
@@ -170,30 +166,33 @@ class Variables:
             self.refuse(name, f"{count} texts, one a row", len(texts))
         return texts * (count // len(texts))
 
+    def text(self, *names: str) -> str:
+        """Return the first text of these names that is there; empty without one."""
+        found = (self.held.get(name) for name in names)
+        return next((one.strip() for one in found if isinstance(one, str) and one.strip()), "")
+
+    def usd(self, axis: str = "") -> Mapping[str, Any]:
+        """Return the struct that describes values, for one beam before all; an empty one without it."""
+        found = (self.held.get(name) for name in (f"usd_{axis}", "usd"))
+        return next((one for one in found if isinstance(one, Mapping)), {})
+
     @property
     def length_unit(self) -> str:
-        """The unit at the end of the name of the positions; empty without one."""
-        ending = self.name("position").rpartition("_")[2]
+        """The unit at the end of the name of the positions, or beside them; empty without one."""
+        name = self.name("position")
+        ending = self.text(f"{name} unit") or name.rpartition("_")[2]
         return ending if ending in LENGTHS else ""
 
-    def rows(self) -> list[Row]:
-        """Read every beam at every point; all faults of the variables together."""
-        freq = self.numbers(self.name("frequency")).reshape(-1).astype(float)
-        described = [one for name in _DESCRIPTIONS if isinstance(one := self.held.get(name), Mapping)]
-        stated = (str(one["XUnit"]).strip() for one in described if np.size(one.get("XUnit", [])))
-        unit = next(filter(None, stated), "Hz")
-        if unit.lower() not in HERTZ:
-            self.refuse("the unit of the frequencies (XUnit)", "Hz, kHz or MHz", unit)
-        freq = freq * HERTZ[unit.lower()]
+    def rows(self, faults: list[Fault]) -> list[Row]:
+        """Read every beam at every point; what is wrong with the variables is added to the faults."""
+        rows = list[Row]()
         beams = self._beams()
-        if not beams:
-            want, got = f"with spectra named {', '.join(VALUES)}", f"the variables {list_some(self.held, 12)}"
-            raise StapeskitError.of(self.file, want, got, "", _STEP)
-        faults, rows = list[Fault](), list[Row]()
         for (_, axis), parts in beams.items():
             with collect_faults(faults):
-                rows += self._rows_of(parts, axis, freq)
-        raise_all(faults)
+                rows += self._rows_of(parts, axis)
+        if not beams:
+            want, got = f"with spectra named {', '.join(VALUES)}", f"the variables {list_some(self.held, 12)}"
+            faults.append(Fault(self.file, want, got, "", _STEP))
         return rows
 
     def _beams(self) -> dict[tuple[str, str], dict[str, str]]:
@@ -208,15 +207,15 @@ class Variables:
     def unknown(self) -> list[str]:
         """Return the names of arrays with one value a frequency that are not read."""
         lines = np.size(self.held[self.name("frequency")])
-        roles = {name for names in NAMES.values() for name in names}
         read = {name for parts in self._beams().values() for name in parts.values()}
-        read |= roles | {f"{name}_{axis}" for name in roles for axis in "xyz"}
-        arrays = {name: one for name, one in self.held.items() if isinstance(one, np.ndarray)}
-        return [
-            name
-            for name, one in arrays.items()
-            if name not in read and one.dtype.kind in "fciu" and lines > 1 and lines in one.shape
+        read |= {
+            f"{name}{axis}" for names in NAMES.values() for name in names for axis in ("", "_x", "_y", "_z")
+        }
+        arrays = [(name, one) for name, one in self.held.items() if isinstance(one, np.ndarray)]
+        sized = [
+            name for name, one in arrays if one.dtype.kind in "fciu" and lines > 1 and lines in one.shape
         ]
+        return [name for name in sized if name not in read]
 
     def square(self) -> list[str]:
         """Return the names of the matrices that may be points x columns as well as columns x points."""
@@ -224,11 +223,14 @@ class Variables:
         read |= {self.name(role) for role in ("position", "direction") if self.name(role)}
         return [name for name in read if np.ndim(one := self.held[name]) == 2 and len(set(one.shape)) == 1]
 
-    def _rows_of(self, parts: Mapping[str, str], axis: str, freq: Array) -> list[Row]:
+    def _rows_of(self, parts: Mapping[str, str], axis: str) -> list[Row]:
         """Return one row for every point of a beam, whose real and imaginary ``parts`` may be apart."""
-        source = next(iter(parts.values()))
-        usd = self.held.get(f"usd_{axis}", self.held.get("usd"))
-        usd = usd if isinstance(usd, Mapping) else {}
+        source, usd, lines = next(iter(parts.values())), self.usd(axis), self.name("frequency")
+        freq = self.numbers(lines).reshape(-1).astype(float)
+        stated = [one["XUnit"] for one in map(self.usd, ("", *"xyz")) if np.size(one.get("XUnit", []))]
+        labels = [*(str(label).strip() for label in stated), self.text(f"{lines} unit")]
+        labels += ["Hz"] if lines.endswith("_hz") else []
+        freq_unit = " and ".join(dict.fromkeys(filter(None, labels)))
         if np.any(np.asarray(usd.get("PowerSignal", 0)) == 1):
             step = "Export the FFT or the FRF: an auto or cross power has no phase of its own"
             self.refuse(source, "an amplitude spectrum", "a power", step)
@@ -237,7 +239,7 @@ class Variables:
             want, step = "complex, or of two parts", "Export Real & Imag.: without phase there is no motion"
             self.refuse(f"the variable {source}", want, "real numbers alone", step)
         value = value if np.iscomplexobj(value) else from_parts(value, np.real(other))
-        count, lines = value.shape
+        count = len(value)
         names = self.texts(self.name("points"), count)
         if not any(names) or (count > 1 and len(set(names)) == 1):  # one text for all is a title
             names = [self.element] if self.element and count == 1 else [str(k) for k in range(1, count + 1)]
@@ -245,18 +247,17 @@ class Variables:
         if name := self.name("position"):
             places = self.shaped(name, 3, count).astype(float) * LENGTHS[self.length_unit or "m"]
         noise = {}
-        for role in ("sd", "coherence", "n_avg"):
+        for role in NOISE:
             if name := self.name(role, axis):
                 single = np.size(self.held[name]) == 1
-                known = self.numbers(name).reshape(1, 1) if single else self.shaped(name, lines, count)
+                known = self.numbers(name).reshape(1, 1) if single else self.shaped(name, len(freq), count)
                 noise[role] = np.broadcast_to(np.real(known).astype(float), value.shape)
-        words = (self.held.get(name, "") for name in (self.name("unit"), "amplitude"))
-        unit, amplitude = (word if isinstance(word, str) else "" for word in words)
+        unit = self.text(f"{source} unit", self.name("unit")) or str(usd.get("YUnit", ""))
         directions = self._directions(axis, usd, count)
         return [
             Row(
-                names[k], freq, value[k], f"{unit or usd.get('YUnit', '')} {amplitude}".strip(), bodies[k],
-                position_m=places[k], direction=directions[k], source=source,
+                names[k], freq, value[k], f"{unit} {self.text('amplitude')}".strip(), bodies[k],
+                position_m=places[k], direction=directions[k], source=source, freq_unit=freq_unit,
                 where=Place(f"{self.file}, {source}", "row", (int(self.element or k + 1),)),
                 **{role: matrix[k] for role, matrix in noise.items()},
             )
@@ -271,12 +272,17 @@ class Variables:
             if np.asarray(stated).dtype.kind in "fiu":
                 return self.shaped(name, 3, count).astype(float)
             return np.array([direction_of(text, self.file, name) for text in self.texts(name, count)])
-        dofs = usd.get("ResponseDOFs")  # +-1, 2, 3 for +-x, y, z, or texts
-        dofs = dofs[0] if isinstance(dofs, list | np.ndarray) and len(dofs) else dofs
-        code = dofs.get("Direction", 0) if isinstance(dofs, Mapping) and not stated else 0
+        dofs = usd.get("ResponseDOFs", [])  # +-1, 2, 3 for +-x, y, z, or texts
+        listed = [dofs] if isinstance(dofs, Mapping) else list(dofs) if np.ndim(dofs) == 1 else []
+        codes = {
+            str(one["Direction"]): one["Direction"] for one in listed if np.size(one.get("Direction", []))
+        }
+        if len(codes) > 1 and not stated:
+            step = "Save each channel apart: amp_x with usd_x, amp_y with usd_y, ..."
+            self.refuse("the ResponseDOFs of usd", "of one direction", ", ".join(codes), step)
+        code = 0 if stated else next(iter(codes.values()), 0)
         if isinstance(code, str) and (text := _DOF_TEXT.fullmatch(code)):
             stated = ("-" if text[1] == "Minus" else "") + text[2].lower()
         elif np.size(code) == 1 and np.asarray(code).dtype.kind in "fiu" and abs(code) in (1, 2, 3):
             stated = ("-" if code < 0 else "") + "xyz"[int(abs(code)) - 1]
-        vector = direction_of(stated, self.file, name) if stated else unknown_vector()
-        return np.tile(vector, (count, 1))
+        return np.tile(direction_of(stated, self.file, name) if stated else unknown_vector(), (count, 1))

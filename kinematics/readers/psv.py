@@ -17,21 +17,20 @@ from pathlib import Path
 import numpy as np
 
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.gather import recording_of
 from kinematics.readers.recording import Recording, Row, unknown_vector
 from kinematics.readers.sheets import Sheet, sheets_of
 from kinematics.readers.text import decoded, export_files
 from kinematics.readers.units import HERTZ, LENGTHS, is_none, plain
-from kinematics.readers.wide import frequencies_of, rows_of
+from kinematics.readers.wide import frequencies_of, left_out_notices, rows_of
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.frames import axis_vector
 from stapeskit.warnings import Notice
 
 _FREQUENCY = ("frequency", "frequenz", "fréquence")
-_POINT = ("point index", "punktindex", "punkt-index")
+_POINT = ("point index", "punktindex", "punkt-index", "index du point", "indice du point")
 _COMPONENT = ("component", "komponente", "composante", "signal")
-_INDEX = ("index", *_POINT)
+_INDEX = ("index", "indice", *_POINT)
 _MIXED = ("interpolated", "filtered", "interpoliert", "gefiltert", "interpolé", "filtré")
 _AXIS = re.compile(r"(?:^|\bvib)\s*(?:vib\s*)?([+-]?)([xyz])\b", re.IGNORECASE)
 _PLACE = re.compile(
@@ -58,40 +57,30 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     Raises
     ------
     StapeskitError
-        Cells that are no numbers, missing columns or headers, tables of several scans; as `recording_of`.
+        Cells that are no numbers, missing columns or headers, tables of several scans; as `rows_of`.
     """
-    path = Path(path)
-    faults, rows, stated = list[Fault](), list[Row](), True
+    path, faults = Path(path), list[Fault]()
     files = export_files(path) if path.is_dir() else [path]
     sheets = [sheet for file in files for sheet in sheets_of(decoded(file.read_bytes()), file.name, faults)]
     raise_all(faults)
+    found = list[tuple[list[Row], bool]]()
     if is_fastscan(sheets[0]):
-        rows, stated = _of_frequencies(sheets)
+        found.append(_of_frequencies(sheets))
     else:
         for sheet in sheets:
             with collect_faults(faults):
-                found, length_stated = _of_point(sheet)
-                rows += found
-                stated &= length_stated
+                found.append(_of_point(sheet))
         raise_all(faults)
+    rows, stated = tuple(row for some, _ in found for row in some), all(stated for _, stated in found)
     units = "positions in stated units" if stated else "positions without unit, as metres"
-    return recording_of(
-        path.name,
-        rows,
-        twice=_APART,
-        notices=_notices(sheets, rows, path.name),
-        statement=f"coordinates of the scan, {units}",
-        length_stated=stated,
-    )
+    notices = (*_notices(sheets, rows, path.name), *left_out_notices(sheets))
+    return Recording(path.name, rows, notices, f"coordinates of the scan, {units}", length_stated=stated)
 
 
 def _of_frequencies(sheets: Sequence[Sheet]) -> tuple[list[Row], bool]:
     """Return the beams of tables of single frequencies, and whether the unit of positions is stated.
 
-    Raises
-    ------
-    StapeskitError
-        Tables of several scans: of other sources, columns, points or positions.
+    Tables of other sources, columns, points or positions than the first are refused.
     """
     first = sheets[0]
     names, positions, stated = _points(first)
@@ -119,13 +108,7 @@ def _of_frequencies(sheets: Sequence[Sheet]) -> tuple[list[Row], bool]:
 
 
 def _of_point(sheet: Sheet) -> tuple[list[Row], bool]:
-    """Return the beams of the table of a point, and whether the unit of its position is stated.
-
-    Raises
-    ------
-    StapeskitError
-        No number of the point, or a position that cannot be read; as `rows_of`.
-    """
+    """Return the beams of the table of a point, and whether the unit of its position is stated."""
     text = sheet.field_of(_POINT)
     number = re.match(r"\s*(\d+)", text)
     if number is None:
@@ -144,10 +127,10 @@ def _of_point(sheet: Sheet) -> tuple[list[Row], bool]:
     axis = next((match for field in fields if (match := _AXIS.search(field))), None)
     direction = axis_vector(axis[1].replace("+", "") + axis[2].lower()) if axis else None
     rows = []
-    for row in rows_of(sheet, frequencies_of(sheet))[0]:
+    for row in rows_of(sheet, *frequencies_of(sheet))[0]:
         if direction is not None and np.any(np.isnan(row.direction)):
             row = replace(row, direction=direction)
-        rows.append(replace(row, point=number[1], position_m=position))
+        rows.append(replace(row, point=number[1], position_m=position, lines=sheet.lines))
     return rows, stated
 
 
@@ -197,7 +180,5 @@ def _notices(sheets: Sequence[Sheet], rows: Sequence[Row], file: str) -> list[No
     )
     treated = any(mark.strip().lower() in ("yes", "ja", "oui", "1") for mark in marks)
     several = len({row.beam for row in rows}) > len({row.point for row in rows})
-    return [
-        *([Notice("file_read", mixed)] if treated else []),
-        *([Notice("axes_from_beams", computed)] if several else []),
-    ]
+    notices = ((treated, "file_read", mixed), (several, "axes_from_beams", computed))
+    return [Notice(code, text) for true, code, text in notices if true]

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kinematics.measurement import QUANTITIES, direction_name
-from kinematics.readers.coherence import last_digit, share_hidden, unexplained_power
 from kinematics.readers.units import SI_UNITS, MotionUnit
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.faults import Place
+from stapeskit.faults import Fault, Place
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -20,12 +20,26 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 QUANTITY_OF_ORDER = tuple(QUANTITIES)
-VELOCITY = MotionUnit()
+NOISE = ("sd", "coherence", "n_avg")
+"""Numbers of a row beside its values; each may be there or not."""
 
 
 def unknown_vector() -> Array:
     """Return three NaN: a position or direction that the file does not hold."""
     return np.full(3, np.nan)
+
+
+def from_parts(real: Array, imaginary: Array) -> ComplexArray:
+    """Return ``real + i imaginary``; a complex product would make NaN of infinite parts."""
+    value = np.empty(np.shape(real), dtype=complex)
+    value.real, value.imag = real, imaginary
+    return value
+
+
+def from_polar(magnitude: Array, phase: Array, turn: float) -> ComplexArray:
+    """Return complex numbers of magnitudes and of phases in units of ``turn`` radians."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(magnitude * np.exp(1j * turn * phase))
 
 
 @dataclass(frozen=True)
@@ -37,11 +51,11 @@ class Row:
     point, body, run, repeat : str
         Empty where the file does not say them.
     freq_hz : ndarray, (L,)
-        As the file has it; in a `Recording` ascending, positive, and the same for all rows.
+        In ``freq_unit`` and any order; when settled in Hz, ascending, positive, the same for all rows.
     value : ndarray, (L,), complex
         e^{+iwt}; NaN where missing.
     unit : MotionUnit or str
-        Of value and sd, as the file writes it; in a `Recording` SI (and peak, where the file says it).
+        Of value and sd, as the file writes it; when settled SI (and peak, where it is known).
     position_m, direction : ndarray, (3,)
         Position of the point; unit vector towards the laser head. NaN where the file does not hold them.
     sd : number or ndarray, (L,), or None
@@ -52,14 +66,14 @@ class Row:
         ``sd`` is known up to one factor.
     hidden : float
         Share of the values whose noise is below what the decimals of their coherence show.
-    where, source, file : Place or str
-        Place, column or variable, and file, for messages.
+    where, lines, source, file : Place or str, ndarray (L,) or None, str, str
+        Place of the row, and of each of its values; column or variable, and file: for messages.
     """
 
     point: str
     freq_hz: Array
     value: ComplexArray
-    unit: MotionUnit | str = VELOCITY
+    unit: MotionUnit | str = field(default_factory=MotionUnit)
     body: str = ""
     run: str = ""
     repeat: str = ""
@@ -70,7 +84,9 @@ class Row:
     n_avg: Array | float | None = None
     relative: bool = False
     hidden: float = 0.0
+    freq_unit: str = "Hz"
     where: Place | str = ""
+    lines: Array | None = None
     source: str = ""
     file: str = ""
 
@@ -101,6 +117,15 @@ class Row:
         return self.body, self.run, self.repeat, self.beam
 
 
+def matrix_of(rows: Sequence[Row], name: str) -> Array | None:
+    """Return numbers of rows, (P, L), NaN where a row has none; None where no row has any."""
+    parts = [getattr(row, name) for row in rows]
+    if all(part is None for part in parts):
+        return None
+    lines = rows[0].freq_hz.shape
+    return np.array([np.broadcast_to(np.nan if part is None else part, lines) for part in parts])
+
+
 @dataclass(frozen=True)
 class Recording:
     """What a vibrometer file holds: P rows, one a beam, point and run, on L common lines.
@@ -113,28 +138,24 @@ class Recording:
     notices : tuple of Notice
     statement : str
         What the file says about its coordinates and units.
-    amplitude_stated, length_stated : bool
-        Whether the file says if amplitudes are peak or rms (else ``value`` holds its numbers as they are),
-        and in which unit positions are (else they were taken as metres).
+    length_stated : bool
+        Whether the file says in which unit positions are (else they were taken as metres).
+    lacks : frozenset of str
+        What the file does not say: ``beam``, ``amplitude`` (peak or rms), ``length_unit``, ``n_avg``.
     line_spread : float
         By what factor the variance of slowly varying sums over lines exceeds that of independent lines.
+    faults : tuple of Fault
+        What the reader found wrong; empty when settled.
     """
 
     file: str
     rows: tuple[Row, ...]
     notices: tuple[Notice, ...] = ()
     statement: str = ""
-    amplitude_stated: bool = False
     length_stated: bool = True
+    lacks: frozenset[str] = frozenset()
     line_spread: float = 1.0
-
-    def _matrix(self, name: str) -> Array | None:
-        """Return numbers of all rows, (P, L), NaN where a row has none; None where no row has any."""
-        parts = [getattr(row, name) for row in self.rows]
-        if all(part is None for part in parts):
-            return None
-        lines = self.freq_hz.shape
-        return np.array([np.broadcast_to(np.nan if part is None else part, lines) for part in parts])
+    faults: tuple[Fault, ...] = ()
 
     @property
     def freq_hz(self) -> Array:
@@ -149,17 +170,17 @@ class Recording:
     @property
     def sd(self) -> Array | None:
         """Standard deviation of the real (= imaginary) part, (P, L), in the unit of ``value``."""
-        return self._matrix("sd")
+        return matrix_of(self.rows, "sd")
 
     @property
     def coherence(self) -> Array | None:
         """Ordinary coherence, (P, L), 0 to 1."""
-        return self._matrix("coherence")
+        return matrix_of(self.rows, "coherence")
 
     @property
     def n_avg(self) -> Array | None:
         """Number of averages, (P, L)."""
-        return self._matrix("n_avg")
+        return matrix_of(self.rows, "n_avg")
 
     @property
     def points(self) -> tuple[str, ...]:
@@ -204,35 +225,6 @@ class Recording:
             return None
         return np.array([row.value * (2j * np.pi * row.freq_hz) ** (1 - row.order) for row in self.rows])
 
-    def with_noise(self) -> Recording:
-        """Return the recording with the sd that follows from what its file states.
-
-        Coherence without a number of averages and averages alone give an sd up to one factor (``relative``).
-        The coherence of a single average is 1 by construction and says nothing; NaN where nothing is known.
-        """
-        coherence, counts = self.coherence, self.n_avg
-        nothing = coherence is None and counts is None
-        single = coherence is not None and counts is not None and not np.any(counts > 1.0)
-        if self.sd is not None or nothing or single:
-            return self
-        averages = np.ones((len(self.rows), len(self.freq_hz))) if counts is None else counts
-        sd, relative, hidden = 1.0 / np.sqrt(averages), True, [0.0] * len(self.rows)
-        if coherence is not None:
-            left = unexplained_power(coherence)
-            if np.all(np.isnan(left)):
-                return self
-            # Bendat and Piersol 2010, Random Data, section 9.2: the sd of the real (= imaginary) part
-            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                sd = np.abs(self.value) * np.sqrt(left / (2.0 * averages * coherence))
-            sd, relative = np.where(np.isfinite(sd), sd, np.nan), counts is None
-            digit = last_digit(coherence)
-            hidden = [share_hidden(own, digit) for own in coherence]
-        rows = [
-            replace(row, sd=own, relative=relative, hidden=share)
-            for row, own, share in zip(self.rows, sd, hidden, strict=True)
-        ]
-        return replace(self, rows=tuple(rows))
-
     def to_frame(self) -> DataFrame:
         """Return a table with one row a beam and line, in SI; columns that the file lacks are left out."""
         import pandas as pd
@@ -246,10 +238,9 @@ class Recording:
             if not np.all(np.isnan(vectors)):
                 columns |= {pattern.format("xyz"[k]): np.repeat(vectors[:, k], lines) for k in range(3)}
         columns["freq_hz"] = np.tile(self.freq_hz, len(self.rows))
-        known: dict[str, Array | None] = {"re": self.value.real, "im": self.value.imag}
-        known |= {name: getattr(self, name) for name in ("sd", "coherence", "n_avg")}
-        columns |= {name: matrix.ravel() for name, matrix in known.items() if matrix is not None}
-        return pd.DataFrame(columns)
+        known = {"re": self.value.real, "im": self.value.imag}
+        known |= {name: matrix for name in NOISE if (matrix := matrix_of(self.rows, name)) is not None}
+        return pd.DataFrame(columns | {name: matrix.ravel() for name, matrix in known.items()})
 
     def plot(self) -> Figure:
         """Draw amplitude and phase of every row over frequency."""

@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kinematics.readers.facts import FileFacts, direction_of, is_file
-from kinematics.readers.gather import recording_of
 from kinematics.readers.points import POSITION, cell_faults, require, text_of
 from kinematics.readers.recording import Recording, Row, unknown_vector
 from kinematics.readers.text import plain_name, shown
@@ -115,7 +114,7 @@ def read(path: Path, facts: FileFacts) -> Recording:
         for k, one in enumerate(responses)
     ]
     statement, spread = f"time series at {rate:g} Hz", frf.line_spread
-    return recording_of(path.name, rows, notices=notices, statement=statement, line_spread=spread)
+    return Recording(path.name, tuple(rows), tuple(notices), statement, line_spread=spread)
 
 
 def read_channels(path: Path) -> list[Listed]:

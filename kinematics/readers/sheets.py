@@ -30,6 +30,7 @@ Line = tuple[int, str]
 class Sheet:
     """A table: place of its line of names, names and units of its columns, ``Name: value`` lines, numbers.
 
+    ``lines`` (row,) are the numbers of its rows in the file, ``left_out`` of those behind a ``#``.
     ``decimal`` is the mark of decimals in its rows; empty where they have none.
     """
 
@@ -38,6 +39,8 @@ class Sheet:
     units: tuple[str, ...]
     fields: Mapping[str, str] = field(default_factory=dict)
     numbers: Array = field(default_factory=lambda: np.empty((0, 0)))
+    lines: Array = field(default_factory=lambda: np.empty(0))
+    left_out: tuple[int, ...] = ()
     decimal: str = ""
 
     def field_of(self, names: Sequence[str]) -> str:
@@ -58,35 +61,37 @@ class Sheet:
 def sheets_of(text: str, file: str, faults: list[Fault]) -> list[Sheet]:
     """Read every table of a text; what is wrong with their rows and cells is added to the faults."""
     found = []
-    for above, rows in _regions(text):
+    for above, rows, left_out in _regions(text):
         sheet, separator = _header(above, file)
-        found.append(_with_numbers(sheet, rows, separator, faults))
+        found.append(replace(_with_numbers(sheet, rows, separator, faults), left_out=tuple(left_out)))
     if not found:
         step = "Export it again with its header, or take it out of the folder"
         faults.append(Fault("the table", "one line of names above rows of numbers", "none", file, step))
     return found
 
 
-def _regions(text: str) -> Iterator[tuple[list[Line], list[Line]]]:
+def _regions(text: str) -> Iterator[tuple[list[Line], list[Line], list[int]]]:
     """Find the tables of a text: the lines above, and the rows, of which the first begins with a number.
 
-    Lines of empty cells, and comments (``#``) among the rows, are passed over.
+    Lines of empty cells and comments (``#``) are passed over; third are the numbers of those that were rows.
     """
-    above: list[Line] = []
-    rows: list[Line] = []
+    above, rows, left_out = list[Line](), list[Line](), list[int]()
     for number, line in enumerate(text.split("\n"), 1):
-        if not line.strip(" \t;,\r\f") or (rows and line.lstrip().startswith("#")):
+        if not line.strip(" \t;,\r\f"):
+            continue
+        if rows and line.lstrip().startswith("#"):
+            left_out += [number] if re.search("[\t;,]", line) else []
             continue
         if rows and _FIELD.match(line):
-            yield above, rows
-            above, rows = [], []
+            yield above, rows, left_out
+            above, rows, left_out = [], [], []
         first = re.split("[\t;,]", line, maxsplit=1)
         if rows or (above and len(first) == 2 and _NUMBER.fullmatch(first[0].strip('" '))):
             rows.append((number, line))
         else:
             above.append((number, line))
     if rows:
-        yield above, rows
+        yield above, rows, left_out
 
 
 def _header(above: Sequence[Line], file: str) -> tuple[Sheet, str]:
@@ -131,26 +136,28 @@ def _cells(line: str, separator: str) -> list[str]:
 
 def _with_numbers(sheet: Sheet, rows: Sequence[Line], separator: str, faults: list[Fault]) -> Sheet:
     """Return the table with its numbers, NaN for empty cells; rows at fault are reported and left out."""
-    width, sound = len(sheet.names), []
+    width, sound = len(sheet.names), dict[int, list[float]]()
     table = [(number, _split(line, separator)) for number, line in rows]
     point, comma = (any(mark in cell for _, cells in table for cell in cells) for mark in ".,")
-    commas = comma and not point
     for number, cells in table:
         cells = cells[:-1] if len(cells) == width + 1 and not cells[-1].strip() else cells
-        cells = [cell.replace(",", ".") for cell in cells] if commas else cells
+        cells = [cell.replace(",", ".") for cell in cells] if comma and not point else cells
         where = Place(sheet.where.file, "line", (number,))
         if len(cells) != width:
             faults.append(Fault("a row", f"of {width} numbers", len(cells), where, CUT))
             continue
         try:
-            sound.append([float(cell) if cell and not cell.isspace() else np.nan for cell in cells])
+            sound[number] = [float(cell) if cell and not cell.isspace() else np.nan for cell in cells]
         except ValueError:
             bad = next(k for k, cell in enumerate(cells) if cell.strip() and number_of(cell) is None)
             step = "Write a plain number without separators of thousands, or leave the cell empty"
+            if re.search(r"\d[ij]\)?$", cells[bad].strip()):
+                step = "Write real and imaginary part into two columns"
             thing = f"column {shown(sheet.names[bad])}"
             faults.append(Fault(thing, "a number", shown(cells[bad]), where, step))
-    numbers = np.array(sound, dtype=float).reshape(len(sound), width)
-    return replace(sheet, numbers=numbers, decimal="." if point else "," if comma else "")
+    numbers = np.array([*sound.values()], dtype=float).reshape(len(sound), width)
+    decimal = "." if point else "," if comma else ""
+    return replace(sheet, numbers=numbers, lines=np.array([*sound], dtype=int), decimal=decimal)
 
 
 def number_of(cell: str) -> float | None:

@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.gather import recording_of
 from kinematics.readers.recording import Recording, Row, unknown_vector
 from kinematics.readers.units import MotionUnit
 from stapeskit.arrays import Array, ComplexArray
@@ -155,7 +154,7 @@ class _File:
             f"PSV {version[9]}.{version[8]}, aligned coordinates in metres, H1 of {names[0]} over "
             f"{names[1]}, {averages} averages"
         )
-        return recording_of(self.name, rows, notices=notices, statement=statement)
+        return Recording(self.name, tuple(rows), tuple(notices), statement)
 
     def spectra(self) -> tuple[Medium, Medium, Medium]:
         """Return the one cross power of the file, and the auto powers of its vibrometer and reference."""

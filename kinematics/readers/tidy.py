@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -15,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.gather import DECIBELS, from_parts, from_polar, recording_of
-from kinematics.readers.lines import SAME_LINE, check_filled
 from kinematics.readers.points import POSITION, cell_faults, position_faults, text_of
-from kinematics.readers.recording import Recording, Row, unknown_vector
+from kinematics.readers.recording import Recording, Row, from_parts, from_polar, unknown_vector
+from kinematics.readers.settle import DECIBELS
 from kinematics.readers.text import plain_name, shown
 from kinematics.readers.units import MotionUnit
 from stapeskit.arrays import Array
@@ -59,9 +57,9 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     Raises
     ------
     StapeskitError
-        A column is missing or has an unknown unit; or rows are faulty: text where a number belongs, an
-        infinite value, a frequency that is not positive, a direction that is no unit vector, a duplicate row,
-        an sd that is negative or empty throughout. All faults are listed with line and column.
+        A column is missing or has an unknown unit. What is wrong with rows is with the recording: text where
+        a number belongs, a frequency that is not positive, no name or direction, an sd that is empty
+        throughout.
     """
     from stapeskit.tables import read_table
 
@@ -73,14 +71,9 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
 
     table = read_table(Path(path), choose)
     faults = [*table.faults, *_number_faults(table, found[0])]
-    rows = _rows_of(table, found[0], faults) if len(table) else []
-    raise_all(faults)
-    recording = recording_of(table.file, rows, statement="as its columns say")
-    notices = [*recording.notices, *_notices(found[0], recording)]
-    if table.left_out:
-        rows_out = Place(table.file, "line", table.left_out)
-        notices.append(Notice("file_read", f"rows that begin with # were left out: {rows_out}."))
-    return replace(recording, notices=tuple(notices))
+    rows = _rows_of(table, found[0], faults)
+    notices = _notices(table, found[0].ignored)
+    return Recording(table.file, tuple(rows), notices, "as its columns say", faults=tuple(faults))
 
 
 def _columns_of(header: Sequence[str], file: str) -> Columns:
@@ -96,10 +89,11 @@ def _columns_of(header: Sequence[str], file: str) -> Columns:
     for name in header:
         match = _WITH_UNIT.fullmatch(name)
         if match and name not in units and name != _UNITS[match[1]]:
-            step = "Convert the values, and name their unit in the header"
-            faults.append(
-                Fault(f"the unit of column {name}", _UNITS[match[1]], "an unknown one", place, step)
+            step, thing = (
+                "Convert the values, and name their unit in the header",
+                f"the unit of column {name}",
             )
+            faults.append(Fault(thing, _UNITS[match[1]], "an unknown one", place, step))
     direction = ("dir",) if "dir" in header or set(DIRECTION).isdisjoint(header) else DIRECTION
     positions = POSITION if any(name in header for name in POSITION) else ()
     wanted = ("body", "point", "freq_hz", *direction, *positions)
@@ -107,6 +101,7 @@ def _columns_of(header: Sequence[str], file: str) -> Columns:
         near = [f"{one[0]} for {name}" for name in header if (one := get_close_matches(name, missing, 1))]
         step = "Add the column, or correct its name in the header (points2dof --help lists the layouts)"
         step = f"Did you mean {', '.join(near)}?" if near else step
+        step = step if len(header) > 1 else "Separate the columns by commas, semicolons or tabs"
         faults.append(Fault("the table", "complete", f"no column {', '.join(missing)}", place, step))
     spreads = [name for name, unit in units.items() if unit.part == "sd"]
     values = sorted(set(units) - set(spreads), key=lambda name: units[name].part, reverse=True)
@@ -126,28 +121,18 @@ def _columns_of(header: Sequence[str], file: str) -> Columns:
         faults.append(Fault("the standard deviation", want, ", ".join(spreads), place, step))
     raise_all(faults)
     used = frozenset([*wanted, *pair, *spreads, *({"run", "repeat", *EXTRA} & set(header))])
-    ignored = tuple(name for name in header if name and name not in used)
-    return Columns(pair, first, "".join(spreads), used, ignored)
+    return Columns(pair, first, "".join(spreads), used, tuple(one for one in header if one not in used))
 
 
 def _number_faults(table: Table, columns: Columns) -> list[Fault]:
-    """List the numbers that no row may hold."""
-    empty = "Leave the cell empty where the value is missing"
+    """List what no row of this table may hold; what no format may hold is found later."""
     dc = "Give the frequency in Hz, or leave the row out (a DC line holds no motion)"
-    polar = columns.unit.part == "amp"
-    limits = {
-        "freq_hz": (LOWEST_HZ, HIGHEST_HZ, dc),
-        columns.pair[0]: (0.0 if polar else -LARGEST, LARGEST, DECIBELS if polar else empty),
-        columns.pair[1]: (-LARGEST, LARGEST, empty),
-        columns.sd: (0.0, LARGEST, empty),
-        "n_avg": (1.0, LARGEST, empty),
-        "coherence": (0.0, 1.0, empty),
-        **dict.fromkeys(DIRECTION, (-LARGEST, LARGEST, "Divide the direction by its length")),
-    }
     faults = position_faults(table, POSITION) if POSITION[0] in table.numbers else []
-    for name, limit in limits.items():
-        if name in table.numbers:
-            faults += cell_faults(table, name, *limit, must=name in ("freq_hz", *DIRECTION))
+    faults += cell_faults(table, "freq_hz", LOWEST_HZ, HIGHEST_HZ, dc, must=True)
+    if columns.unit.part == "amp":
+        faults += cell_faults(table, columns.pair[0], 0.0, LARGEST, DECIBELS)
+    for name in (name for name in DIRECTION if name in table.numbers):
+        faults += cell_faults(table, name, -LARGEST, LARGEST, "Divide the direction by its length", must=True)
     if columns.sd and len(table) and np.all(np.isnan(table.numbers[columns.sd])):
         step = "Leave the column out to have the noise estimated from the residuals"
         want, where = "a number in at least one row", Place(table.file, detail=columns.sd)
@@ -156,23 +141,19 @@ def _number_faults(table: Table, columns: Columns) -> list[Fault]:
 
 
 def _rows_of(table: Table, columns: Columns, faults: list[Fault]) -> list[Row]:
-    """Return a row for every body, point, run, repeat, direction and position; each has its own lines."""
+    """Return a row for every body, point, run, repeat, direction and position; each has its own lines.
+
+    Lines with faults in their cells are left out.
+    """
+    if not len(table):
+        return []
     numbers = table.numbers
     keys: list[NDArray[Any]] = [column.codes for column in table.texts.values()]
     keys += [numbers[name] for name in DIRECTION if name in numbers]
     keys += [np.round(numbers[name], 6) for name in POSITION if name in numbers]  # digits of spreadsheets
     group, first = _numbered(keys)
-    check_filled(len(first), len(np.unique(numbers["freq_hz"])), len(table), table.file)
-    order = np.lexsort((numbers["freq_hz"], group))
-    freq, sorted_group = numbers["freq_hz"][order], group[order]
-    again = np.flatnonzero((np.diff(freq) <= SAME_LINE * freq[1:]) & (np.diff(sorted_group) == 0))
-    want = "the only one of its run, body, point, direction and frequency"
-    step = "Number repeats in a column repeat, or remove the row"
-    for line, earlier in zip(order[again + 1].tolist(), order[again].tolist(), strict=True):
-        got = f"that of line {table.lines[earlier]}"
-        faults.append(Fault("a row", want, got, table.where(line), step))
     order = np.argsort(group, kind="stable")  # the lines of a row stay in the order of the file
-    freq, group = numbers["freq_hz"][order], group[order]
+    group, freq, places = group[order], numbers["freq_hz"][order], table.lines[order]
     one, other = (numbers[name][order] for name in columns.pair)
     value = from_polar(one, other, np.pi / 180.0) if columns.unit.part == "amp" else from_parts(one, other)
     noise = {"sd": columns.sd, **{name: name for name in EXTRA}}
@@ -180,78 +161,50 @@ def _rows_of(table: Table, columns: Columns, faults: list[Fault]) -> list[Row]:
     if columns.sd and (stated := unit_of(columns.sd)):
         known["sd"] = known["sd"] * (stated.scale / columns.unit.scale)
     unit = MotionUnit(columns.unit.order, columns.unit.scale, amplitude="peak")
+    sound = (freq > 0.0) & ~table.invalid_rows()[order]
     named = [name for name in ("run", "repeat") if name in table.texts and table.texts[name].names]
     edges = [0, *(np.flatnonzero(np.diff(group)) + 1).tolist(), len(group)]
     rows = []
     for line, (a, b) in zip(first.tolist(), pairwise(edges), strict=True):
         given: dict[str, Any] = {name: text_of(table, name, line) for name in NAMES}
-        places = table.lines[order[a:b]].tolist()
+        where = Place(table.file, "line", tuple(places[a:b].tolist()))
         for name in ("body", "point", *named):
             if not given[name]:
                 want = "a name" if name in ("body", "point") else "given in every row, or in none"
-                where = Place(table.file, "line", tuple(places), name)
-                faults.append(Fault(name, want, "an empty cell", where, "Correct the cell"))
-        given |= {name: part[a:b] for name, part in known.items()} | {"point": plain_name(given["point"])}
-        given["direction"] = _direction(table, line, places, faults)
+                at = replace(where, detail=name)
+                faults.append(Fault(name, want, "an empty cell", at, "Correct the cell"))
+        given |= {"point": plain_name(given["point"]), "direction": _direction(table, line, where, faults)}
         if POSITION[0] in numbers:
             given["position_m"] = 1e-3 * np.array([numbers[name][line] for name in POSITION])
-        where = table.where(line)
-        rows.append(Row(freq_hz=freq[a:b], value=value[a:b], unit=unit, where=where, **given))
+        lines = slice(a, b) if np.all(sound[a:b]) else a + np.flatnonzero(sound[a:b])
+        given |= {name: part[lines] for name, part in known.items()} | {"lines": places[lines]}
+        if np.any(sound[a:b]):
+            where = table.where(line)
+            rows.append(Row(freq_hz=freq[lines], value=value[lines], unit=unit, where=where, **given))
     return rows
 
 
-def _direction(table: Table, line: int, places: Sequence[int], faults: list[Fault]) -> Array:
-    """Return the direction (3,) of the rows like one row, whose lines are given; NaN where it is at fault."""
-    if "dir" in table.texts:
-        text = text_of(table, "dir", line)
-        axis, got = axis_vector(text), shown(text) or "an empty cell"
-        thing, want, step = "dir", "x, y, z, -x, -y or -z", "Correct the cell"
-    else:
-        axis = np.array([table.numbers[name][line] for name in DIRECTION])
-        if not np.all(np.abs(axis) < LARGEST):
-            return unknown_vector()  # a fault of these cells
-        length, got = float(np.linalg.norm(axis)), f"({', '.join(f'{part:g}' for part in axis)})"
-        axis = axis / length if abs(length - 1.0) <= 1e-3 else None
-        thing, want = ", ".join(DIRECTION), "a unit vector (within 1e-3)"
-        step = "Divide the direction by its length"
+def _direction(table: Table, line: int, where: Place, faults: list[Fault]) -> Array:
+    """Return the direction (3,) of the rows like one row; its length is checked later."""
+    if "dir" not in table.texts:
+        return np.array([table.numbers[name][line] for name in DIRECTION])
+    text = text_of(table, "dir", line)
+    axis = axis_vector(text)
     if axis is None:
-        faults.append(Fault(thing, want, got, Place(table.file, "line", tuple(places), thing), step))
+        want, got = "x, y, z, -x, -y or -z", shown(text) or "an empty cell"
+        faults.append(Fault("dir", want, got, replace(where, detail="dir"), "Correct the cell"))
     return unknown_vector() if axis is None else axis
 
 
-def _notices(columns: Columns, recording: Recording) -> list[Notice]:
-    """Report what is missing and what was not used."""
-    notices, file, rows = [], recording.file, recording.rows
-    sweeps = defaultdict[object, list[Row]](list)
-    for row in rows:
-        sweeps[row.body, row.run, row.repeat].append(row)
-    gaps, count = list[str](), 0
-    for together in sweeps.values():  # lines that a whole sweep lacks are no gaps in it
-        missing = np.isnan([row.value for row in together])
-        missing &= ~np.all(missing, axis=0)
-        count += int(np.sum(missing))
-        gaps += [row.name for row, own in zip(together, missing, strict=True) if np.any(own)]
-    if gaps:
-        text = (
-            f"{count} readings of {len(gaps)} channels ({list_some(gaps, 6)}) have no row or no value in "
-            f"{file} at lines that other channels of the body have: they count as missing."
-        )
-        notices.append(Notice("file_read", text))
-    exact = sum(int(np.sum(np.asarray(row.sd) == 0.0)) for row in rows if row.sd is not None)
-    if exact:
-        text = f"{exact} values of {file} have a noise of 0: they are exact to 1e-12 of the largest."
-        notices.append(Notice("noise_level", text))
-    bodies = dict.fromkeys(row.body for row in rows)
-    if len({body.lower() for body in bodies}) < len(bodies):
-        text = f"bodies of {file} differ in case only and were taken as different: {', '.join(bodies)}."
-        notices.append(Notice("file_read", text))
-    if columns.ignored:
-        known = (*TEXTS, *POSITION, *DIRECTION, "freq_hz", *EXTRA)
-        near = {name: get_close_matches(name, known, 1, 0.75) for name in columns.ignored}
-        meant = (f"{name} (did you mean {one[0]}?)" if one else name for name, one in near.items())
-        text = f"columns of {file} that are not used: {list_some(meant, 6)}."
-        notices.append(Notice("file_read", text))
-    return notices
+def _notices(table: Table, ignored: Sequence[str]) -> tuple[Notice, ...]:
+    """Report columns and rows that are not read."""
+    known = (*TEXTS, *POSITION, *DIRECTION, "freq_hz", *EXTRA)
+    near = {name: get_close_matches(name, known, 1, 0.75) for name in ignored if name}
+    meant = [f"{name} (did you mean {one[0]}?)" if one else name for name, one in near.items()]
+    texts = [f"columns of {table.file} that are not used: {list_some(meant, 6)}."] if meant else []
+    if table.left_out:
+        texts.append(f"rows that begin with # were left out: {Place(table.file, 'line', table.left_out)}.")
+    return tuple(Notice("file_read", text) for text in texts)
 
 
 def _numbered(keys: Sequence[NDArray[Any]]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

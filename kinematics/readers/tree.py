@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kinematics.readers.gather import from_parts
+from kinematics.readers.recording import from_parts
 from kinematics.readers.text import CUT
 from stapeskit.faults import StapeskitError
 
@@ -28,9 +28,7 @@ def read_tree(path: Path) -> dict[str, Any]:
         import h5py
 
         with h5py.File(path, "r") as file:
-            nodes = {_text(name): node for name, node in file.items()}
-            tree = {name: _value(file, node, 0) for name, node in nodes.items() if not name.startswith("#")}
-            return {**{_text(name): _text(value) for name, value in file.attrs.items()}, **tree}
+            return _fields(file, file, 0)
     from scipy.io import loadmat
     from scipy.io.matlab import MatlabFunction, MatlabOpaque
 
@@ -42,6 +40,16 @@ def read_tree(path: Path) -> dict[str, Any]:
 
 def _text(value: Any) -> Any:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+
+
+def _fields(file: h5py.File, group: h5py.Group, depth: int) -> dict[str, Any]:
+    """Return what a group holds: attributes, nodes, and the units that are attributes of nodes."""
+    nodes = {name: node for key, node in group.items() if not (name := _text(key)).startswith("#")}
+    fields = {_text(name): _text(value) for name, value in group.attrs.items() if name[:7] != "MATLAB_"}
+    for name, node in nodes.items():
+        unit = next((_text(node.attrs[key]) for key in ("unit", "units") if node and key in node.attrs), None)
+        fields |= {} if unit is None else {f"{name} unit": unit}
+    return fields | {name: _value(file, node, depth + 1) for name, node in nodes.items()}
 
 
 def _value(file: h5py.File, node: h5py.Group | h5py.Dataset | None, depth: int) -> Any:
@@ -56,7 +64,7 @@ def _value(file: h5py.File, node: h5py.Group | h5py.Dataset | None, depth: int) 
     if depth > _DEEPEST:
         return {}
     if isinstance(node, h5py.Group):
-        fields = {_text(name): _value(file, one, depth + 1) for name, one in node.items()}
+        fields = _fields(file, node, depth)
         lists = {name: value for name, value in fields.items() if isinstance(value, list)}
         lengths = {len(value) for value in lists.values()}
         if kind == "struct" and len(lists) == len(fields) and len(lengths) == 1:  # a struct array

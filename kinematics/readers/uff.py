@@ -15,18 +15,21 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.gather import recording_of
 from kinematics.readers.recording import Recording, Row, unknown_vector
+from kinematics.readers.settle import ONE_EXCITATION
 from kinematics.readers.text import CUT, shown
-from kinematics.readers.uff_geometry import Dataset, nodes_of
 from kinematics.readers.units import HERTZ, MotionUnit, is_none, motion_unit, plain
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, Place, StapeskitError, collect_faults, list_some, raise_all
+from stapeskit.faults import Fault, Place, StapeskitError, collect_faults, list_some
 from stapeskit.warnings import Notice
+
+Dataset = Mapping[str, Any]
+"""A dataset as pyuff gives it, with its ``place`` in the file."""
 
 FRF, TRANSMISSIBILITY, COHERENCE, SPECTRUM = 4, 5, 6, 12
 KINDS = {
@@ -41,15 +44,16 @@ ORDERS = {8: 0, 11: 1, 12: 2}
 REFERENCES = {13: "N", 9: "N", 15: "Pa", 8: "m", 11: "m/s", 12: "m/s2"}
 """Units of the denominator by its data characteristic."""
 
-_ONE_EXCITATION = (
-    "Export one signal of one excitation to each file (reference, load case or version), with the direction "
-    "of every function in its record 6 (a direction that stands in its text alone is not read)"
-)
 _FREQUENCY = (0, 1, 18)  # data characteristics of the abscissa: unknown, general, frequency
 _BINARY = re.compile(rb"^ {4}58b", re.MULTILINE | re.IGNORECASE)
 _PADDED_RULE = re.compile(rb"^ {4}-1[ \t]+(\r?)$", re.MULTILINE)
 _FORTRAN_EXPONENT = re.compile(rb"(\d)[Dd]([+-]\d\d)")
 _TEXT_AXIS = re.compile(r"(?<![A-Za-z0-9+-])([+-]?)([XYZ])(?![A-Za-z0-9])")
+_OWN_FILES = (
+    f"{ONE_EXCITATION}; the direction of every function stands in its record 6 (one that stands in its text "
+    "alone is not read)"
+)
+_GLOBAL_STEP = "Export the geometry in global cartesian coordinates"
 
 
 def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
@@ -58,10 +62,11 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     Raises
     ------
     StapeskitError
-        The file is cut short, a function holds fewer values than its header says, functions are of several
-        excitations, or there is none of motion; as `recording_of`. All faults together, one a kind.
+        There is no function of motion. What else is wrong is with the recording: a file that is cut short, a
+        function with fewer values than its header says, functions of several excitations, nodes in other
+        coordinate systems than the global one.
     """
-    path = Path(path)
+    path, notices = Path(path), list[Notice]()
     sets, faults = _datasets(path)
     functions = [one for one in sets if one["type"] == 58 and one["func_type"] != COHERENCE]
     reasons = [_unusable(one) for one in functions]
@@ -72,27 +77,25 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         want = "one with functions 58 of displacement, velocity or acceleration over frequency"
         step = "Export complex spectra or frequency responses of velocity or displacement as UFF 58"
         raise StapeskitError.of("a universal file", want, listed or "none", path.name, step)
-    stated = next((float(one["length"]) for one in sets if one["type"] == 164), None)
-    if stated is not None and not 0.0 < stated < np.inf:
-        faults.append(Fault("the length factor of dataset 164", "positive", f"{stated:g}", path.name))
-        raise_all(faults)
-    notices = _notices(usable, listed, stated is not None, path.name)
-    nodes = nodes_of(sets, {int(one["rsp_node"]) for one in usable}, path.name, faults, notices)
+    factors = _factors(sets, path.name, faults)
+    length = factors["m"] if factors else 1.0
+    nodes = _nodes(sets, {int(one["rsp_node"]) for one in usable}, path.name, faults, notices)
     coherences = [one for one in sets if one.get("func_type") == COHERENCE]
     rows: list[Row] = []
     for one in usable:
         with collect_faults(faults):
-            rows.append(_row(one, nodes, stated or 1.0, coherences, path.name))
+            node = nodes.get(int(one["rsp_node"]), unknown_vector())
+            rows.append(_row(one, node / length, factors, coherences, path.name))
+    notices += _notices(usable, listed, factors, path.name)
     faults += [*_excitation_faults(usable, path.name), *_direction_faults(usable, path.name, notices)]
-    raise_all(faults)
-    lengths = "as metres" if stated is None else f"by dataset 164, {stated:g} per metre"
-    return recording_of(
+    lengths = f"by dataset 164, {length:g} per metre" if factors else "as metres"
+    return Recording(
         path.name,
-        rows,
-        twice=_ONE_EXCITATION,
-        notices=notices,
-        statement=f"global axes of the file, lengths {lengths}",
-        length_stated=stated is not None,
+        tuple(rows),
+        tuple(notices),
+        f"global axes of the file, lengths {lengths}",
+        length_stated=bool(factors),
+        faults=tuple(faults),
     )
 
 
@@ -152,15 +155,24 @@ def _label(one: Dataset, axis: str) -> str:
     return "" if is_none(label) else label
 
 
+def _factors(sets: Sequence[Dataset], file: str, faults: list[Fault]) -> dict[str, float]:
+    """Return by unit the factor from SI to the numbers of the file by dataset 164; empty without one."""
+    stated = [one for one in sets if one["type"] == 164]
+    lengths = list(dict.fromkeys(float(one["length"]) for one in stated))
+    if len(lengths) > 1 or not all(0.0 < length < np.inf for length in lengths):
+        thing, got = "the length factor of dataset 164", list_some(f"{length:g}" for length in lengths)
+        faults.append(Fault(thing, "positive, and one for the file", got, file, "Export it again in SI"))
+    elif stated:
+        length, force = lengths[0], float(stated[0]["force"]) or 1.0
+        return {**dict.fromkeys(("m", "m/s", "m/s2"), length), "N": force, "Pa": force / length**2}
+    return {}
+
+
 def _coherence(one: Dataset, others: Sequence[Dataset], where: Place) -> Array | None:
     """Return the coherence (L,) of a response, None without one; of several that of its reference.
 
-    Some exports write the node of the response as that of the reference.
-
-    Raises
-    ------
-    StapeskitError
-        There are several, or it is at other lines.
+    Some exports write the node of the response as that of the reference. Several, or one at other lines, are
+    refused.
     """
     names = ("rsp_node", "rsp_dir", "load_case_id", "ref_node", "ref_dir")
     key = [abs(one[name]) for name in names]
@@ -179,33 +191,82 @@ def _coherence(one: Dataset, others: Sequence[Dataset], where: Place) -> Array |
 
 
 def _row(
-    one: Dataset,
-    nodes: Mapping[int, tuple[Array, Array]],
-    factor: float,
-    coherences: Sequence[Dataset],
-    file: str,
+    one: Dataset, position_m: Array, factors: Mapping[str, float], coherences: Sequence[Dataset], file: str
 ) -> Row:
     """Return a function as a row, with its coherence; SI is the number over the factor."""
-    label, per, response = _label(one, "ordinate"), _label(one, "orddenom"), one["func_type"] != SPECTRUM
+    label, response = _label(one, "ordinate"), one["func_type"] != SPECTRUM
     unit = motion_unit(label)
     if not label:
-        unit = MotionUnit(ORDERS.get(one["ordinate_spec_data_type"], 1), 1.0 / factor)
-    if unit is not None and response and (per or not unit.per):
-        known = REFERENCES.get(one["orddenom_spec_data_type"], "unit of the reference")
-        unit = replace(unit, per=plain(per) if per else known)
+        order = ORDERS.get(one["ordinate_spec_data_type"], 1)
+        unit = MotionUnit(order, 1.0 / factors.get("m", 1.0))
+    if unit is not None and response and (per := _label(one, "orddenom")):
+        unit = replace(unit, per=plain(per))
+    elif unit is not None and response and not unit.per:
+        per = REFERENCES.get(one["orddenom_spec_data_type"], "unit of the reference")
+        unit = replace(unit, per=per, scale=unit.scale * factors.get(per, 1.0))
     node, code, name = int(one["rsp_node"]), int(one["rsp_dir"]), str(one.get("rsp_ent_name", "")).strip()
-    position, axes = nodes.get(node, (unknown_vector(), np.eye(3)))
     where = Place(file, "dataset", (one["place"],))
     return Row(
         name if node == 0 and not is_none(name) else str(node),
-        one["x"].astype(float) * HERTZ[(_label(one, "abscissa") or "Hz").lower()],
+        one["x"].astype(float),
         one["data"],
         unit or label,
-        position_m=position / factor,
-        direction=axes[abs(code) - 1] * np.sign(code) if code else unknown_vector(),
+        position_m=position_m,
+        direction=np.eye(3)[abs(code) - 1] * np.sign(code) if code else unknown_vector(),
         coherence=_coherence(one, coherences, where) if response else None,
+        freq_unit=_label(one, "abscissa") or "Hz",
         where=where,
     )
+
+
+def _nodes(
+    sets: Sequence[Dataset], used: set[int], file: str, faults: list[Fault], notices: list[Notice]
+) -> dict[int, Array]:
+    """Return positions (3,), in the file's unit, of the nodes that are used, in the global system.
+
+    Where a file describes no system, those of its nodes are taken for the global one, with a notice; systems
+    that turn, shift or bend are refused: programs differ in what a node in them means.
+    """
+    described = {0: True}
+    for one in sets:
+        described |= _global_systems(one) if one["type"] in (18, 2420) else {}
+    nodes, others = dict[int, Array](), set[int]()
+    for one in (one for one in sets if one["type"] in (15, 2411)):
+        columns = [np.atleast_1d(one[name]) for name in ("node_nums", "def_cs", "disp_cs", "x", "y", "z")]
+        for node, *systems, x, y, z in np.column_stack(columns).astype(float).tolist():
+            if int(node) not in used:
+                continue
+            others |= {int(label) for label in systems if not described.get(int(label), False)}
+            place = np.array([x, y, z])
+            known = nodes.setdefault(int(node), place)
+            if not np.allclose(known, place, rtol=1e-5, atol=1e-12):
+                thing, got = f"the position of node {node:.0f}", f"{known.tolist()} and {place.tolist()}"
+                where = Place(file, "dataset", (one["place"],))
+                faults.append(Fault(thing, "one", got, where, "Remove the wrong one"))
+    listed = ", ".join(map(str, sorted(others)))
+    if others and len(described) > 1:
+        thing, got = f"coordinate system {listed}", "one that turns, shifts or is not described"
+        faults.append(Fault(thing, "the global one", got, file, _GLOBAL_STEP))
+    elif others:
+        text = f"nodes refer to coordinate system {listed}, and the file describes none: it was taken for the"
+        notices.append(Notice("axes_assumed", f"{file}: {text} global one."))
+    return nodes
+
+
+def _global_systems(one: Dataset) -> dict[int, bool]:
+    """Return by number which coordinate systems of dataset 18 or 2420 are the global one."""
+    old = one["type"] == 18
+    names = ("cs_num", "cs_type") if old else ("CS_sys_labels", "CS_types")
+    labels, kinds = (np.atleast_1d(one[name]).astype(int).tolist() for name in names)
+    if old:  # the origin, a point on +x and one in the half plane of +x and +z
+        points = [np.reshape(one[name], (-1, 3)).astype(float) for name in ("ref_o", "x_point", "xz_point")]
+        origin, on_x, on_xz = points
+        along = (on_x[:, 0] > 0.0) & ~np.any(on_x[:, 1:], axis=1) & (on_xz[:, 2] > 0.0) & (on_xz[:, 1] == 0.0)
+        alike = along & ~np.any(origin, axis=1) & ~np.any(np.asarray(one["ref_cs_num"], dtype=int))
+    else:
+        frames = np.asarray(one["CS_matrices"], dtype=float).reshape(-1, 4, 3)
+        alike = np.all(np.isclose(frames, np.vstack([np.eye(3), np.zeros(3)]), atol=1e-9), axis=(1, 2))
+    return {label: kind == 0 and bool(same) for label, kind, same in zip(labels, kinds, alike, strict=True)}
 
 
 def _excitation_faults(functions: Sequence[Dataset], file: str) -> list[Fault]:
@@ -221,7 +282,7 @@ def _excitation_faults(functions: Sequence[Dataset], file: str) -> list[Fault]:
         excitations = {f"node {one['ref_node']:.0f}, direction {one['ref_dir']:.0f}" for one in responses}
     got = list_some(sorted(excitations), 6)
     several = len(excitations) > 1
-    return [Fault("the functions", "of one excitation", got, file, _ONE_EXCITATION)] if several else []
+    return [Fault("the functions", "of one excitation", got, file, _OWN_FILES)] if several else []
 
 
 def _direction_faults(functions: Sequence[Dataset], file: str, notices: list[Notice]) -> list[Fault]:
@@ -243,7 +304,7 @@ def _direction_faults(functions: Sequence[Dataset], file: str, notices: list[Not
     if len({one["rsp_dir"] for one in functions}) == 1 and len({match[0] for match in texts if match}) > 1:
         where = Place(file, "dataset", tuple(one["place"] for one, _ in named))
         want = "those of record 6 (1, 2, 3 for x, y, z)"
-        return [Fault("the directions in the texts", want, got, where, _ONE_EXCITATION)]
+        return [Fault("the directions in the texts", want, got, where, _OWN_FILES)]
     text = f"texts of {file} name other directions: {got}. Record 6 was taken."
     notices.append(Notice("axes_assumed", text))
     return []
@@ -254,16 +315,28 @@ def _is_direction(text: re.Match[str], code: int) -> bool:
     return "XYZ".index(text[2]) + 1 == abs(code) and text[1] in ("", "+" if code > 0 else "-")
 
 
-def _notices(functions: Sequence[Dataset], left_out: str, stated: bool, file: str) -> list[Notice]:
-    """Report what was left out, spectra, and values without a unit."""
+def _notices(
+    functions: Sequence[Dataset], left_out: str, factors: Mapping[str, float], file: str
+) -> list[Notice]:
+    """Report what was left out, spectra, and units of values that are not stated or stated in two ways."""
     notices = [Notice("file_read", f"{file}: left out: {left_out}.")] if left_out else []
-    if all(one["func_type"] == SPECTRUM for one in functions):
+    if functions and all(one["func_type"] == SPECTRUM for one in functions):
         text = (
             f"{file} holds spectra, no frequency responses: their phases are those of one motion only when "
             "every point was triggered by the excitation."
         )
         notices.append(Notice("file_read", text))
-    if not stated and not all(_label(one, "ordinate") for one in functions):
+    labels = {_label(one, "ordinate") for one in functions}
+    if not factors and "" in labels:
         text = f"{file} names no unit of its values and has no dataset 164: they were taken as SI."
         notices.append(Notice("length_unit_assumed", text))
+    for label in sorted(labels) if factors else ():
+        unit = motion_unit(label)
+        ratio = 1.0 if unit is None else 1.0 / (factors["m"] * unit.scale)
+        if not np.isclose(ratio, 1.0, rtol=1e-6):
+            text = (
+                f"{file} has values in {label} by the label of their axis, which was taken; by the length "
+                f"factor {factors['m']:g} of its dataset 164 they would be {ratio:g} times as large."
+            )
+            notices.append(Notice("file_read", text))
     return notices

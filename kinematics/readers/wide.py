@@ -6,6 +6,7 @@ The names of the columns give part, axis, point and unit.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -13,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.gather import DECIBELS, from_parts, from_polar, recording_of
-from kinematics.readers.recording import Recording, Row, unknown_vector
+from kinematics.readers.recording import Recording, Row, from_parts, from_polar
+from kinematics.readers.settle import DECIBELS
 from kinematics.readers.sheets import Sheet, sheets_of
 from kinematics.readers.text import decoded, plain_name
 from kinematics.readers.units import HERTZ, PHASES, motion_unit
@@ -31,15 +32,14 @@ PARTS = {
     "coherence": ("coh", "coherence", "gamma2", "kohärenz"),
 }
 FREQUENCIES = ("frequency", "freq", "frequenz", "fréquence", "f")
-LOWEST_AUDIBLE_TOP_HZ = 100.0
-"""A sweep that ends below is in kHz, where no unit is stated: hearing ends at 20 kHz."""
 
 _MOST_RADIANS = 100.0  # 16 turns: phases that were unwrapped reach no further, degrees nearly always do
 _WORD = re.compile(r"(?:(?<![^\s(\[])[+-])?(?:\d+\.0+(?!\w)|[^\W_]+)")
 _OF_POINT = ("point", "pt", "punkt", "node")
+_AMPLITUDES = ("rms", "eff")
 _FILLERS = (
-    *_OF_POINT, "v", "d", "a", "vib", "vel", "velocity", "disp", "displacement", "acc", "acceleration",
-    "axis", "channel", "of", "part", "frf", "fft", "h1", "spectrum",
+    *_OF_POINT, *_AMPLITUDES, "v", "d", "a", "vib", "vel", "velocity", "disp", "displacement", "acc",
+    "acceleration", "axis", "channel", "of", "part", "partie", "frf", "fft", "h1", "spectrum",
 )  # fmt: skip
 _POINT = re.compile(r"(?:p|pt|point|punkt|node)(\d+)")
 _AXIS = re.compile(r"([+-]?)[vdau]?([xyz])")
@@ -51,21 +51,28 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     Raises
     ------
     StapeskitError
-        Cells that are no numbers, missing columns, a magnitude without phase, units that are not stated where
-        values are ambiguous; as `recording_of`.
+        Missing columns, a magnitude without phase, units of phases that are not stated where they are
+        ambiguous; as `rows_of`.
     """
-    path = Path(path)
-    faults: list[Fault] = []
+    path, faults = Path(path), list[Fault]()
     sheets = sheets_of(decoded(path.read_bytes()), path.name, faults)
     raise_all(faults)
     if len(sheets) > 1:
         raise sheets[0].refuse("the file", "of one table", f"{len(sheets)}", "Give a file for each")
-    rows, unused = rows_of(sheets[0], frequencies_of(sheets[0]))
-    rows = [replace(row, point=row.point or path.stem) for row in rows]
-    unused = [name for name in unused if name and not is_frequency(name)]
-    text = f"{path.name}: columns that name no part of a signal were left out: {list_some(unused, 12)}."
-    notices = (Notice("file_read", text),) if unused else ()
-    return recording_of(path.name, rows, notices=notices, statement="columns by their names")
+    rows, unused = rows_of(sheets[0], *frequencies_of(sheets[0]))
+    rows = [replace(row, point=row.point or path.stem, lines=sheets[0].lines) for row in rows]
+    notices, unused = left_out_notices(sheets), [one for one in unused if one and not is_frequency(one)]
+    if unused:
+        text = f"{path.name}: columns that name no part of a signal were left out: {list_some(unused, 12)}."
+        notices.append(Notice("file_read", text))
+    return Recording(path.name, tuple(rows), tuple(notices), "columns by their names")
+
+
+def left_out_notices(sheets: Iterable[Sheet]) -> list[Notice]:
+    """Report the rows that begin with # and were not read."""
+    places = [str(replace(sheet.where, numbers=sheet.left_out)) for sheet in sheets if sheet.left_out]
+    text = f"rows that begin with # were left out: {list_some(places)}."
+    return [Notice("file_read", text)] if places else []
 
 
 def is_frequency(name: str) -> bool:
@@ -93,7 +100,7 @@ def meaning(name: str) -> tuple[str, str, str] | None:
     return (part, " ".join(rest), axis) if part else None
 
 
-def rows_of(sheet: Sheet, freq_hz: Array) -> tuple[list[Row], list[str]]:
+def rows_of(sheet: Sheet, freq: Array, freq_unit: str = "Hz") -> tuple[list[Row], list[str]]:
     """Return the beams that the names of columns describe, and the names that describe none.
 
     The last axis of the numbers of the table are its columns; the others are those of the values.
@@ -124,34 +131,35 @@ def rows_of(sheet: Sheet, freq_hz: Array) -> tuple[list[Row], list[str]]:
     rows = []
     for (point, axis), parts in by_beam.items():
         with collect_faults(faults):
-            rows.append(_row(sheet, plain_name(point), axis, freq_hz, parts))
+            row = replace(_row(sheet, parts), point=plain_name(point), freq_hz=freq, freq_unit=freq_unit)
+            direction = axis_vector(axis)
+            rows.append(row if direction is None else replace(row, direction=direction))
     raise_all(faults)
     return rows, unknown
 
 
-def _row(sheet: Sheet, point: str, axis: str, freq_hz: Array, parts: dict[str, int]) -> Row:
-    """Return one beam from the columns of its parts."""
+def _row(sheet: Sheet, parts: dict[str, int]) -> Row:
+    """Return the values of one beam from the columns of its parts."""
     pair = [name for name in ("re", "im", "amp", "phase") if name in parts]
     if pair not in (["re", "im"], ["amp", "phase"]):
         thing = f"the column {sheet.names[next(iter(parts.values()))]}"
         want = "with its phase, or a real part with its imaginary part"
         raise sheet.refuse(thing, want, "alone", "Export both, with points and axes named alike")
-    one, other = (parts[name] for name in pair)
+    (one, other), polar = (parts[name] for name in pair), pair[0] == "amp"
     first, second = sheet.numbers[..., one], sheet.numbers[..., other]
     unit, turn = sheet.units[one], PHASES.get((sheet.units[other] or "deg").lower())
-    if pair[0] == "amp" and np.any(first < 0.0) and motion_unit(unit):
+    if polar and np.any(first < 0.0) and motion_unit(unit):
         raise sheet.refuse("the magnitudes", "linear, from 0 on", f"{np.nanmin(first):g}", DECIBELS)
-    if pair[0] == "re" and unit != sheet.units[other]:
+    if not polar and unit != sheet.units[other]:
         raise sheet.refuse("real and imaginary part", "in one unit", f"{unit} and {sheet.units[other]}")
-    if pair[0] == "amp" and turn is None:
+    if polar and turn is None:
         raise sheet.refuse("the unit of the phases", "deg or rad", sheet.units[other])
-    rms = re.search(r"\brms\b", sheet.field_of(("signal",)), re.IGNORECASE)
+    words = _WORD.findall(f"{sheet.field_of(('signal',))} {sheet.names[one]}".lower())
     return Row(
-        point,
-        freq_hz,
-        from_parts(first, second) if pair[0] == "re" else from_polar(first, second, turn or 1.0),
-        f"{unit} rms" if rms else unit,
-        direction=unknown_vector() if (direction := axis_vector(axis)) is None else direction,
+        "",
+        np.empty(0),
+        from_polar(first, second, turn or 1.0) if polar else from_parts(first, second),
+        f"{unit} rms" if not set(words).isdisjoint(_AMPLITUDES) and unit else unit,
         coherence=sheet.numbers[..., parts["coherence"]] if "coherence" in parts else None,
         where=sheet.where,
         source=sheet.names[one],
@@ -169,25 +177,20 @@ def _phase_faults(sheet: Sheet, phases: list[int]) -> list[Fault]:
     return [Fault("the unit of the phases", "stated", got, sheet.where, step)]
 
 
-def frequencies_of(sheet: Sheet) -> Array:
-    """Return the column of frequencies, Hz.
+def frequencies_of(sheet: Sheet) -> tuple[Array, str]:
+    """Return the column of frequencies and its unit, empty where none is stated.
 
     Raises
     ------
     StapeskitError
-        There is none, there are several, or their unit is unknown or not clear.
+        There is none, or there are several.
     """
     columns = [column for column, name in enumerate(sheet.names) if is_frequency(name)]
     if len(columns) != 1:
         got = " and ".join(sheet.names[k] for k in columns) or f"none of {', '.join(sheet.names)}"
         step = 'Export spectra, and name their column "Frequency [Hz]"'
         raise sheet.refuse("the column of frequencies", "one", got, step)
-    name, freq = sheet.names[columns[0]], sheet.numbers[:, columns[0]]
-    unit = sheet.units[columns[0]] or next((one for one in _WORD.findall(name) if one.lower() in HERTZ), "")
-    if unit and unit.lower() not in HERTZ:
-        raise sheet.refuse("the unit of the frequencies", "Hz, kHz or MHz", unit)
-    if not unit and len(freq) and np.max(freq) <= LOWEST_AUDIBLE_TOP_HZ:
-        got = f"none, with frequencies from {np.min(freq):g} to {np.max(freq):g}"
-        step = f'Write "{name} [kHz]" or "[Hz]" in the header'
-        raise sheet.refuse("the unit of the frequencies", "stated", got, step)
-    return np.asarray(freq * HERTZ[(unit or "Hz").lower()])
+    name, unit = sheet.names[columns[0]], sheet.units[columns[0]]
+    return sheet.numbers[:, columns[0]], unit or next(
+        (w for w in _WORD.findall(name) if w.lower() in HERTZ), ""
+    )

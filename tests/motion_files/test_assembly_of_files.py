@@ -8,10 +8,10 @@ import pytest
 
 from kinematics.readers.assemble import assemble, read_measurement
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.gather import recording_of
 from kinematics.readers.lines import common_grid
 from kinematics.readers.points import read_points
-from kinematics.readers.recording import Row
+from kinematics.readers.recording import Recording, Row
+from kinematics.readers.settle import settled
 from kinematics.readers.units import MotionUnit, motion_unit
 from stapeskit.faults import StapeskitError
 from tests.motion_files.written_files import FREQ_HZ, PLACES_M, VELOCITY, tidy_table, universal_file
@@ -25,8 +25,8 @@ def row(point="1", freq=FREQ_HZ, value=1.0, **further):
     return Row(point, np.asarray(freq), np.full(len(freq), value, dtype=complex), **known)
 
 
-def one(*rows, name="a.uff", **facts):
-    return recording_of(name, rows, **facts)
+def one(*rows, name="a.uff", facts=None, **further):
+    return settled(Recording(name, rows, **further), facts or FileFacts())
 
 
 def things(error):
@@ -134,14 +134,15 @@ def test_quantities_are_converted_to_the_most_common_one():
 
 
 def test_facts_fill_what_files_do_not_say():
-    silent = one(row("1", direction=np.full(3, np.nan), position_m=np.ones(3)), length_stated=False)
+    silent = row("1", direction=np.full(3, np.nan), position_m=np.ones(3))
     facts = FileFacts(beam="0,3,4", amplitude="rms", length_unit="mm", n_avg=4.0)
-    body = assemble([silent], facts=facts).bodies[0]
+    body = assemble([one(silent, facts=facts, length_stated=False)], facts=facts).bodies[0]
     assert np.allclose(body.directions, [[0.0, 0.6, 0.8]])
     assert np.allclose(body.positions_m, 1e-3)
     assert np.allclose(body.value, np.sqrt(2.0))
     assert body.relative
-    codes = {notice.code for notice in assemble([silent], facts=FileFacts(beam="z")).notices}
+    found = one(silent, facts=FileFacts(beam="z"), length_stated=False)
+    codes = {notice.code for notice in assemble([found], facts=FileFacts(beam="z")).notices}
     assert codes == {"amplitude_assumed", "length_unit_assumed"}
 
 
@@ -181,7 +182,7 @@ UNFIT = {
 def test_what_does_not_belong_together_is_refused(name):
     rows, facts, thing = UNFIT[name]
     with pytest.raises(StapeskitError) as caught:
-        assemble([one(*rows)], facts=facts)
+        assemble([one(*rows, facts=facts)], facts=facts)
     assert things(caught) == [thing]
 
 
@@ -218,8 +219,8 @@ def test_rows_in_any_order_and_unit_are_one_recording():
     assert np.allclose(found.value, expected.value, rtol=1e-14)
     assert np.array_equal(found.coherence, expected.coherence)
     assert np.allclose(found.sd, expected.sd, rtol=1e-14)
-    assert found.amplitude_stated
-    assert not expected.amplitude_stated
+    assert "amplitude" not in found.lacks
+    assert "amplitude" in expected.lacks
 
 
 def test_tidy_tables_and_other_files_are_one_measurement(tmp_path):

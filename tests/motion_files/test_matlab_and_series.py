@@ -25,6 +25,10 @@ def faults(folder, variables):
     return caught.value.faults
 
 
+def how_read(recording):
+    return [notice.text for notice in recording.notices if notice.code == "file_read"]
+
+
 LAYOUTS = {
     "one beam": {"x": FREQ_HZ, "y": Z, "usd": USD},
     "columns": {"f": FREQ_HZ[:, None], "Y": Z.T, "usd": USD},
@@ -65,9 +69,9 @@ def test_layouts_by_their_names(name, tmp_path):
 
 def test_square_matrices_are_read_by_rows_and_named(tmp_path):
     """Positions of three points may be written either way."""
-    (notice,) = read(tmp_path, {**LAYOUTS["one beam"], "xyz": PLACES_M}).notices
-    assert "xyz" in notice.text
-    assert read(tmp_path, LAYOUTS["one beam"]).notices == ()
+    (text,) = how_read(read(tmp_path, {**LAYOUTS["one beam"], "xyz": PLACES_M}))
+    assert "xyz" in text
+    assert how_read(read(tmp_path, LAYOUTS["one beam"])) == []
 
 
 def test_versions_of_matlab_files(tmp_path):
@@ -85,17 +89,24 @@ def test_versions_of_matlab_files(tmp_path):
 def test_values_of_unknown_names_are_not_left_out_in_silence(tmp_path):
     """Two of three beams would be missing; positions and times of another length are no values."""
     variables = {"x": FREQ_HZ, "amp_z": Z, "unit": "m/s", "vel_x": Z, "vel_y": Z.T, "note": np.arange(99.0)}
-    (notice,) = read(tmp_path, variables).notices
-    assert notice.code == "file_read"
-    assert all((name in notice.text) is left for name, left in (("vel_x, vel_y", True), ("note", False)))
-    assert "file_read" not in {notice.code for notice in read(tmp_path, LAYOUTS["with noise"]).notices}
+    (text,) = how_read(read(tmp_path, variables))
+    assert all((name in text) is left for name, left in (("vel_x, vel_y", True), ("note", False)))
+    assert how_read(read(tmp_path, LAYOUTS["with noise"])) == []
 
 
 MISTAKES = {
+    "kilohertz that nothing names": (
+        {"f": FREQ_HZ / 1e3, "y": Z, "unit": "m/s"},
+        "the unit of the frequencies",
+    ),
+    "heads of several directions": (
+        {"x": FREQ_HZ, "y": Z, "usd": {**USD, "ResponseDOFs": [{"Direction": 1.0}, {"Direction": 3.0}]}},
+        "the ResponseDOFs of usd",
+    ),
     "no unit": ({"x": FREQ_HZ, "y": Z}, "the unit of y"),
     "angular frequencies": (
         {"x": FREQ_HZ, "y": Z, "usd": {**USD, "XUnit": "rad/s"}},
-        "the unit of the frequencies (XUnit)",
+        "the unit of the frequencies",
     ),
     "a direction in other words": ({"x": FREQ_HZ, "y": Z, "unit": "m/s", "direction": "up"}, "direction"),
     "peak to peak": ({"x": FREQ_HZ, "y": Z, "unit": "m/s", "amplitude": "p-p"}, "the unit of y"),
@@ -127,6 +138,31 @@ def test_newer_classes_of_matlab_are_named_with_the_cure(kind, tmp_path):
         read_file(path, FileFacts())
     assert "unit" in caught.value.faults[0].got
     assert "cellstr" in caught.value.faults[0].next_step
+
+
+def test_units_of_data_sets_are_read(tmp_path):
+    """HDF5 holds them as attributes; one that contradicts the name is refused."""
+    path = tmp_path / "a.h5"
+    for name, factor in (("frequency", 1e-3), ("freq_hz", 1.0)):
+        with h5py.File(path, "w") as file:
+            group = file.create_group("scan")
+            group["value"], group[name], group["position"] = 1e3 * Z, factor * FREQ_HZ, 1e3 * PLACES_M
+            for key, unit in (("value", "mm/s"), (name, "kHz"), ("position", "mm")):
+                group[key].attrs["unit"] = unit
+            group.attrs["direction"] = "z"
+        if name == "freq_hz":
+            assert [fault.thing for fault in _refused(path).faults] == ["the unit of the frequencies"]
+            return
+        recording = read_file(path, FileFacts())
+        assert np.allclose(recording.value, Z)
+        assert np.allclose(recording.freq_hz, FREQ_HZ)
+        assert np.allclose(recording.points_m, PLACES_M)
+
+
+def _refused(path):
+    with pytest.raises(StapeskitError) as caught:
+        read_file(path, FileFacts())
+    return caught.value
 
 
 def multisine(noise=0.0, seconds=2.0, rate=8000.0, seed=4):

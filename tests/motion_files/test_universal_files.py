@@ -19,6 +19,7 @@ from tests.motion_files.written_files import (
     FORCE,
     FREQ_HZ,
     TIME,
+    VELOCITIES,
     VELOCITY,
     function,
     nodes_15,
@@ -85,6 +86,24 @@ def test_units_of_positions_and_values(tmp_path):
     assert np.allclose(scaled.value[0], VALUE)
 
 
+@pytest.mark.parametrize(("factor", "unit", "named"), [(1e3, "m/s", 1), (1.0, "um/s", 1), (1e3, "mm/s", 0)])
+def test_a_label_that_contradicts_dataset_164_is_reported(factor, unit, named, tmp_path):
+    parts = (units(factor), nodes_2411(PLACE), function(FREQ_HZ, VALUE, unit=unit))
+    texts = [notice.text for notice in read(tmp_path, *parts).notices if "dataset 164" in notice.text]
+    assert len(texts) == named
+    assert all(unit in text for text in texts)
+
+
+def test_a_reference_without_a_label_is_in_the_units_of_dataset_164(tmp_path):
+    """In mm, motion over motion is a ratio; in mm and kN, 1 mm/s over 1 kN is 1e-6 m/s over 1 N."""
+    system = units(1e3).replace(f"{1.0:25.16E}".replace("E", "D").encode(), b"1.0D-3".rjust(25), 1)
+    for quantity, per, scale in ((VELOCITIES, "m/s", 1.0), (FORCE, "N", 1e-6)):
+        part = function(FREQ_HZ, VALUE, unit="NONE", per=quantity)
+        recording = read(tmp_path, system, nodes_2411(PLACE), part)
+        assert np.allclose(recording.value[0], scale * VALUE, rtol=1e-11)
+        assert recording.reference == per
+
+
 def test_a_response_is_per_unit_of_its_reference(tmp_path):
     response = function(FREQ_HZ, VALUE, per=FORCE, quantity=DISPLACEMENT, unit="m", reference=(2, 3))
     recording = read(tmp_path, units(), nodes_2411(PLACE), response)
@@ -93,19 +112,30 @@ def test_a_response_is_per_unit_of_its_reference(tmp_path):
     assert recording.velocity is None
 
 
-def test_directions_are_those_of_the_displacement_system(tmp_path):
-    """+x of the system points along +y, +z along +z: a third axis follows by the right hand."""
-    turned = system_18(7, (0, 0, 0), (0, 1, 0), (0, 1, 1))
-    parts = [function(FREQ_HZ, VALUE, 1, code) for code in (1, 2, -3)]
-    recording = read(tmp_path, units(), turned, nodes_15(PLACE, measured=7), *parts)
-    assert np.allclose(recording.directions, [[0, 1, 0], [-1, 0, 0], [0, 0, -1]])
-    shifted = system_18(7, (1, 0, 0), (1, 1, 0), (1, 1, 1))
-    recording = read(tmp_path, units(), shifted, nodes_15(PLACE, defined=7), function(FREQ_HZ, VALUE))
-    assert np.allclose(recording.points_m[0], [1.0, 0.5, 0.0])
-    turned = system_2420(7, [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], [1, 1, 1])
-    recording = read(tmp_path, units(), turned, nodes_2411(PLACE, measured=7), *parts)
-    assert np.allclose(recording.directions, [[0, 1, 0], [-1, 0, 0], [0, 0, -1]])
-    assert np.allclose(recording.points_m[0], PLACE[1])  # of dataset 2411: in the global one
+SYSTEMS = {
+    "18": (system_18(7, (0, 0, 0), (2, 0, 0), (1, 0, 1)), True),
+    "18 turned": (system_18(7, (0, 0, 0), (0, 1, 0), (0, 1, 1)), False),
+    "18 shifted": (system_18(7, (1, 0, 0), (1, 1, 0), (1, 1, 1)), False),
+    "18 in another one": (system_18(7, (0, 0, 0), (1, 0, 0), (1, 0, 1), parent=3), False),
+    "18 curved": (system_18(7, (0, 0, 0), (1, 0, 0), (1, 0, 1), shape=1), False),
+    "2420": (system_2420(7, np.eye(3), (0, 0, 0)), True),
+    "2420 turned": (system_2420(7, [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], (0, 0, 0)), False),
+    "2420 shifted": (system_2420(7, np.eye(3), (1, 1, 1)), False),
+}
+
+
+@pytest.mark.parametrize("where", ["defined", "measured"])
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_nodes_in_another_system_than_the_global_one_are_refused(name, where, tmp_path):
+    """Programs differ in whether nodes of 2411 are in the part's axes or in their export system."""
+    system, good = SYSTEMS[name]
+    parts = (units(), system, nodes_15(PLACE, **{where: 7}), function(FREQ_HZ, VALUE, 1, -2))
+    if good:
+        recording = read(tmp_path, *parts)
+        assert np.array_equal(recording.directions, [[0, -1, 0]])
+        assert np.allclose(recording.points_m[0], PLACE[1])
+    else:
+        assert [fault.thing for fault in faults(tmp_path, *parts)] == ["coordinate system 7"]
 
 
 def test_a_system_that_no_dataset_describes_is_the_global_one_with_a_warning(tmp_path):
@@ -147,22 +177,6 @@ def test_frequencies_are_in_the_unit_of_their_axis(tmp_path):
     assert "over something else" in faults(tmp_path, units(), nodes_2411(PLACE), labels[1])[0].got
 
 
-def test_nodes_of_2411_in_a_system_that_turns_are_refused(tmp_path):
-    """Programs differ in whether they are in the part's axes or in their export system."""
-    nodes = nodes_2411(PLACE).replace(f"{1:10d}{0:10d}".encode(), f"{1:10d}{7:10d}".encode())
-    for turn, origin, good in (
-        (np.eye(3), [0, 0, 0], True),
-        ([[0, 1, 0], [-1, 0, 0], [0, 0, 1]], [1, 1, 1], False),
-    ):
-        parts = (units(), system_2420(7, turn, origin), nodes, function(FREQ_HZ, VALUE))
-        if good:
-            assert np.allclose(read(tmp_path, *parts).points_m[0], PLACE[1])
-        else:
-            assert [fault.thing for fault in faults(tmp_path, *parts)] == [
-                "the nodes of dataset 2411 in system 7"
-            ]
-
-
 def test_two_excitations_in_one_file_are_refused(tmp_path):
     """Also where they have no node in common: body and base of two excitations are no one motion."""
     nodes = nodes_2411({1: (0.5, 0.0, 0.0), 2: (0.0, 0.5, 0.0)})
@@ -189,16 +203,14 @@ REFUSED = {
     "quantity and unit": (function(FREQ_HZ, VALUE, quantity=DISPLACEMENT), "a universal file"),
     "one frequency twice": (function([1.0, 1.0, 2.0, 3.0], VALUE, even=False), "the frequencies"),
     "time alone": (function(FREQ_HZ, VALUE.real, kind=TIME, form=4, abscissa=17), "a universal file"),
-    "a curved system": (system_18(7, (0, 0, 0), (1, 0, 0), (1, 0, 1), shape=1), "coordinate system 7"),
+    "two units": (units(1e3) + function(FREQ_HZ, VALUE), "the length factor of dataset 164"),
 }
 
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_refusals(name, tmp_path):
     part, thing = REFUSED[name]
-    nodes = nodes_15(PLACE, measured=7) if name == "a curved system" else nodes_2411(PLACE)
-    more = function(FREQ_HZ, VALUE) if name == "a curved system" else b""
-    assert [fault.thing for fault in faults(tmp_path, units(), nodes, part, more)] == [thing]
+    assert [fault.thing for fault in faults(tmp_path, units(), nodes_2411(PLACE), part)] == [thing]
 
 
 def test_directions_that_stand_in_the_text_alone_are_refused(tmp_path):
