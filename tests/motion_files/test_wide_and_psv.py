@@ -253,11 +253,3 @@ ALIENS = {
 def test_a_table_is_refused_as_what_it_is_nearest_to(name, tmp_path):
     text, thing = ALIENS[name]
     assert {fault.thing for fault in faults(written(tmp_path, text))} == {thing}
-
-
-def test_a_description_beside_the_file_is_not_passed_over(tmp_path):
-    """It may say rms or e^{-iwt}: without it the numbers are others."""
-    path = written(tmp_path, "Frequency [Hz],P1 z Mag [m/s],P1 z Phase [deg]\n100,1,10\n200,2,20\n")
-    (tmp_path / "ldv.csv.toml").write_text('convention = "-"\n', encoding="utf-8")
-    (fault,) = faults(path)
-    assert "ldv.csv.toml" in fault.thing
