@@ -32,8 +32,8 @@ def uncommon_lines(placed: Measurement) -> list[Notice]:
     listed = ", ".join(f"{body.body} at {n}" for body, n in zip(placed.bodies, counts, strict=True))
     common = int(np.sum(np.all(measured, axis=0)))
     text = (
-        f"of {len(placed.freq_hz)} frequencies, {listed} were measured, {common} of them on all bodies; "
-        "lines are matched within 1e-6."
+        f"of {len(placed.freq_hz)} frequencies, {listed} were measured, {common} of them on all bodies: "
+        "measure all on one grid."
     )
     return [Notice("lines_undetermined", text)]
 

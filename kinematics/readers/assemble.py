@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.measurement import BodyChannels, Measurement, Repeat
 from kinematics.readers.facts import FileFacts, with_bodies, with_runs
@@ -95,9 +94,8 @@ def assemble(
     Raises
     ------
     StapeskitError
-        A point without body or direction, a position that differs between files, one channel twice, bodies at
-        different frequencies, responses to different quantities, or an option that applies to nothing; faults
-        of one kind are reported together.
+        A point without body or direction, a position that differs between files, one channel twice, responses
+        to different quantities, or an option that applies to nothing; one sentence a kind.
     """
     facts = facts or FileFacts()
     raise_all(facts.unused(recordings))
@@ -124,10 +122,10 @@ def assemble(
     for name in dict.fromkeys(row.body for row in rows):
         with collect_faults(faults):
             bodies.append(_body([row for row in rows if row.body == name], takes, points, notices))
-    present = {body.body: np.any(~np.isnan(body.value.real), axis=(0, 1)) for body in bodies}
-    raise_all([*faults, *_grid_faults(freq_hz, present)])
-    if len({name.lower() for name in present}) < len(present):
-        text = f"bodies whose names differ in case only were taken as different: {', '.join(present)}."
+    raise_all(faults)
+    if len({body.body.lower() for body in bodies}) < len(bodies):
+        listed = ", ".join(body.body for body in bodies)
+        text = f"bodies whose names differ in case only were taken as different: {listed}."
         notices.append(Notice("file_read", text))
     repeats = tuple(Repeat(run, repeat) for run, repeat in takes)
     several = len({run for run, _ in takes}) < len(takes)
@@ -259,24 +257,3 @@ def _positions(rows: Sequence[Row], points: Points | None) -> dict[str, Array]:
         faults.append(Fault(thing, "given with positions, as others are", "none", "", step))
     raise_all(faults)
     return {point: found[point][0] for point in measured if point in found}
-
-
-def _grid_faults(freq_hz: Array, present: Mapping[str, NDArray[np.bool_]]) -> list[Fault]:
-    """List the bodies that share less than half of the lines that they could share with the first one.
-
-    ``present`` says by body where it was measured, (L,).
-    """
-    faults = []
-    measured = [(name, np.flatnonzero(row)) for name, row in present.items() if np.any(row)]
-    for name, lines in measured[1:]:
-        first_name, first = measured[0]
-        common = len(np.intersect1d(first, lines))
-        low, high = max(first[0], lines[0]), min(first[-1], lines[-1])
-        within = min(int(np.sum((own >= low) & (own <= high))) for own in (first, lines))
-        if not common or 2 * common < within:
-            want = "the same within 1 % of their spacing and 1e-4, as far as both bodies were measured"
-            ends = [(len(own), freq_hz[own[0]], freq_hz[own[-1]]) for own in (first, lines)]
-            spans = " and ".join("{} from {:.8g} to {:.8g} Hz".format(*end) for end in ends)
-            thing, got = f"the frequencies of bodies {first_name} and {name}", f"{spans}, {common} in common"
-            faults.append(Fault(thing, want, got, "", "Measure both on one grid"))
-    return faults

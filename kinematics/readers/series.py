@@ -73,7 +73,7 @@ def read(path: Path, facts: FileFacts) -> Recording:
         No table of channels, a channel that is missing, no or several references, or what is wrong with the
         samples.
     """
-    path = Path(path)
+    path, notices = Path(path), list[Notice]()
     if facts.channels is None:
         step = "Write a table with channel, role, body, point, dir and unit; see points2dof --help"
         raise StapeskitError.of("time series", "read with --channels FILE", "none", path.name, step)
@@ -85,10 +85,6 @@ def read(path: Path, facts: FileFacts) -> Recording:
         got, step = f"{len(responses)} and {len(references)}", "Give the others the role ignore"
         raise StapeskitError.of("the table of channels", want, got, facts.channels.name, step)
     rate, samples = _read_samples(path, [one.name for one in (*responses, *references)])
-    notices = []
-    if silent := [name for name, one in samples.items() if np.ptp(one) == 0.0]:
-        got, step = "one value in all samples", "Check that they were connected, or give them the role ignore"
-        raise StapeskitError.of(f"channels {list_some(silent, 6)}", "with a signal", got, path.name, step)
     if clipped := [name for name, one in samples.items() if _is_clipped(one)]:
         text = (
             f"{', '.join(clipped)} of {path.name}: neighbouring samples lie at the largest or smallest value "
@@ -103,16 +99,11 @@ def read(path: Path, facts: FileFacts) -> Recording:
         frf = welch_frf(lead, signals, rate, facts.averages, path.name)
     rows = [
         replace(
-            one.row,
-            freq_hz=frf.freq_hz,
-            value=frf.value[k],
-            unit=MotionUnit(one.row.order, per=references[0].per),
-            sd=frf.sd[k],
-            coherence=frf.coherence[k],
-            n_avg=frf.n_avg,
+            one.row, freq_hz=frf.freq_hz, value=frf.value[k], sd=frf.sd[k], coherence=frf.coherence[k],
+            n_avg=frf.n_avg, unit=MotionUnit(one.row.order, per=references[0].per),
         )
         for k, one in enumerate(responses)
-    ]
+    ]  # fmt: skip
     statement, spread = f"time series at {rate:g} Hz", frf.line_spread
     return Recording(path.name, tuple(rows), tuple(notices), statement, line_spread=spread)
 
@@ -137,15 +128,15 @@ def read_channels(path: Path) -> list[Listed]:
     if "sensitivity" in table.numbers:
         step = "Give the factor from the numbers of the file to unit"
         faults += cell_faults(table, "sensitivity", 1.0 / LARGEST, LARGEST, step)
-    listed = [_listed(table, line, faults) for line in range(len(table))]
-    keys = [(one.name, one.file) for one in listed]
-    faults += [
-        Fault(f"channel {key[0]}", "listed once", "it again", table.where(number), "Keep one row")
-        for number, key in enumerate(keys)
-        if key in keys[:number]
-    ]
+    listed = dict[tuple[str, str], Listed]()
+    for line in range(len(table)):
+        one = _listed(table, line, faults)
+        if (one.name, one.file) in listed:
+            thing, got = f"channel {one.name}", "it again"
+            faults.append(Fault(thing, "listed once", got, table.where(line), "Keep one row"))
+        listed[one.name, one.file] = one
     raise_all(faults)
-    return [one for one in listed if one.role != "ignore"]
+    return [one for one in listed.values() if one.role != "ignore"]
 
 
 def _listed(table: Table, line: int, faults: list[Fault]) -> Listed:
@@ -162,23 +153,16 @@ def _listed(table: Table, line: int, faults: list[Fault]) -> Listed:
     if is_none(texts["unit"]) if role == "reference" else unit is None and role == "response":
         step = "Give the unit of the numbers times the sensitivity, e.g. m/s, Pa or V"
         want = "one of motion (m/s, mm/s, um, g), neither peak nor rms; of a reference any"
-        got = shown(texts["unit"]) or "none"
-        faults.append(Fault("unit", want, got, where, step))
+        faults.append(Fault("unit", want, shown(texts["unit"]) or "none", where, step))
     direction = unknown_vector()
     if role == "response" and texts["dir"]:
         with collect_faults(faults):
             direction = direction_of(texts["dir"], where, "dir")
     row = Row(
-        plain_name(texts["point"]) or "1",
-        np.empty(0),
-        np.empty(0, dtype=complex),
-        unit or MotionUnit(),
-        texts["body"],
-        texts["run"],
-        direction=direction,
-        where=where,
+        plain_name(texts["point"]) or "1", np.empty(0), np.empty(0, dtype=complex), unit or MotionUnit(),
+        texts["body"], texts["run"], direction=direction, where=where,
         position_m=1e-3 * np.array([numbers[name] for name in POSITION]),
-    )
+    )  # fmt: skip
     per = SI_UNITS[unit.order] if unit else plain(texts["unit"])
     return Listed(texts["channel"], role, texts["file"], factor * (unit.scale if unit else 1.0), per, row)
 
@@ -190,7 +174,8 @@ def _read_samples(path: Path, names: Sequence[str]) -> tuple[float, dict[str, Ar
     ------
     StapeskitError
         A channel is missing (those found are listed) or has several rows, channels of several lengths, times
-        that are not evenly spaced, no sampling rate, a stepped sine, or samples that are no finite numbers.
+        that are not evenly spaced, no sampling rate, a stepped sine, or samples that are no finite numbers or
+        all alike.
     """
     arrays = {name.lower(): np.asarray(value) for name, value in _arrays(path, names).items()}
     held = {name: one for name, one in arrays.items() if one.dtype.kind in "fiu" and one.size}
@@ -207,10 +192,9 @@ def _read_samples(path: Path, names: Sequence[str]) -> tuple[float, dict[str, Ar
         if max(one.shape, default=1) < one.size
     )
     samples = {name: one.reshape(-1).astype(float) for name, one in samples.items()}
-    counts = {name: len(one) for name, one in samples.items()}
-    longest = max(counts.values())
-    if len(set(counts.values())) > 1 or longest < _SHORTEST:
-        got = ", ".join(f"{name} {count}" for name, count in counts.items())
+    longest = max(map(len, samples.values()))
+    if min(map(len, samples.values())) < max(longest, _SHORTEST):
+        got = ", ".join(f"{name} {len(one)}" for name, one in samples.items())
         want, step = f"of one number of samples, {_SHORTEST} at least", "Resample them to one rate"
         raise StapeskitError.of("the channels", want, got, path.name, step)
     if np.size(held.get("freq_hz", [])) == longest:
@@ -218,21 +202,24 @@ def _read_samples(path: Path, names: Sequence[str]) -> tuple[float, dict[str, Ar
         raise StapeskitError.of("the record", "of random or periodic excitation", got, path.name, _STEPS)
     times = [held[name].reshape(-1).astype(float) for name in TIMES if np.size(held.get(name, [])) == longest]
     rates = [float(held[name].reshape(-1)[0]) for name in RATES if np.size(held.get(name, [])) == 1]
-    rate = _sampling_rate(times[0], path.name) if times else [*rates, np.nan][0]
-    if not 0.0 < rate <= HIGHEST_HZ:
+    rates = [*(_sampling_rate(time, path.name) for time in times[:1]), *rates]
+    if not rates or not 0.0 < rates[0] <= HIGHEST_HZ:
         step, got = "Add sample_rate_hz (a number) or time_s (s, one a sample)", f"the variables {listed}"
         raise StapeskitError.of("the file", "with a positive sampling rate", got, path.name, step)
-    if times and any(abs(stated - rate) > 1e-3 * rate for stated in rates):
-        got, step = f"{rate:g} Hz by its times and {rates[0]:g} Hz", "Keep the right one"
-        raise StapeskitError.of("the sampling rate", "one", got, path.name, step)
+    if any(abs(other - rates[0]) > 1e-3 * rates[0] for other in rates):
+        got = " and ".join(f"{rate:g} Hz" for rate in rates)
+        raise StapeskitError.of("the sampling rate", "one", got, path.name, "Keep the right one")
     faults = []
     for name, one in samples.items():
         if np.any(bad := ~(np.abs(one) <= LARGEST)):
             got = f"{int(np.sum(bad))} others, the first at sample {int(np.argmax(bad)) + 1}"
             want, step = f"finite and below {LARGEST:g}", "Cut the record, or leave the channel out"
             faults.append(Fault(f"the samples of channel {name}", want, got, path.name, step))
+        elif np.ptp(one) == 0.0:
+            step = "Check that it was connected, or give it the role ignore"
+            faults.append(Fault(f"channel {name}", "with a signal", "one value throughout", path.name, step))
     raise_all(faults)
-    return rate, samples
+    return rates[0], samples
 
 
 def _arrays(path: Path, names: Sequence[str]) -> Mapping[str, Any]:

@@ -34,13 +34,15 @@ _OF_COHERENCE = 1e-4  # rounding of written coherences beyond 0 and 1
 _PREFERRED = (1, 0, 2)  # velocity is taken before displacement, and that before acceleration
 _LINEAR = "Export velocity or displacement on a linear scale, and name its unit in the file"
 _UNIT_LENGTH = (0.999, 1.001)  # directions are written with four digits
-_LIMITS: tuple[tuple[str, Callable[[Row], ArrayLike | None], float, float], ...] = (
-    ("the values", lambda row: np.abs(row.value), 0.0, LARGEST),
-    ("the coordinates of the points, in mm", lambda row: np.abs(1e3 * row.position_m), 0.0, FARTHEST_MM),
-    ("the length of a direction", lambda row: np.linalg.norm(row.direction), *_UNIT_LENGTH),
-    ("the standard deviations", lambda row: row.sd, 0.0, LARGEST),
-    ("the coherence", lambda row: row.coherence, 0.0, 1.0),
-    ("the number of averages", lambda row: row.n_avg, 1.0, LARGEST),
+_AGAIN = "Leave it empty where it is missing, or export it again"
+_LENGTH = "Divide it by its length"
+_LIMITS: tuple[tuple[str, Callable[[Row], ArrayLike | None], float, float, str], ...] = (
+    ("the values", lambda row: np.abs(row.value), 0.0, LARGEST, _AGAIN),
+    ("the coordinates of points, in mm", lambda row: 1e3 * np.abs(row.position_m), 0.0, FARTHEST_MM, _AGAIN),
+    ("the length of a direction", lambda row: np.linalg.norm(row.direction), *_UNIT_LENGTH, _LENGTH),
+    ("the standard deviations", lambda row: row.sd, 0.0, LARGEST, _AGAIN),
+    ("the coherence", lambda row: row.coherence, 0.0, 1.0, "Write it as a share of 1, not of 100"),
+    ("the number of averages", lambda row: row.n_avg, 1.0, LARGEST, _AGAIN),
 )
 
 
@@ -117,8 +119,10 @@ def _faults_of(bad: Sequence[tuple[Row, Any]], thing: str, expected: str, got: s
     numbers = set[int]()
     for row, mask in bad:
         if isinstance(row.where, Place) and (row.where.file, row.where.unit) == (first.file, first.unit):
-            lines = None if row.lines is None or mask is None else row.lines[mask]
-            numbers |= set(row.where.numbers if lines is None else lines.astype(int).tolist())
+            lines = (
+                row.where.numbers if row.lines is None else row.lines[... if mask is None else mask].tolist()
+            )
+            numbers |= set(map(int, lines))
     return [Fault(thing, expected, got, replace(first, numbers=tuple(sorted(numbers))), step)]
 
 
@@ -236,7 +240,7 @@ def _line_faults(rows: Sequence[Row]) -> list[Fault]:
 def _range_faults(rows: Sequence[Row]) -> list[Fault]:
     """Refuse numbers that no motion can have; one sentence a kind."""
     faults = []
-    for thing, numbers_of, low, high in _LIMITS:
+    for thing, numbers_of, low, high, step in _LIMITS:
         bad, numbers = list[tuple[Row, Any]](), list[float]()
         for row in rows:
             with np.errstate(over="ignore"):
@@ -247,7 +251,7 @@ def _range_faults(rows: Sequence[Row]) -> list[Fault]:
                 numbers += own[outside].tolist()
         got = f"{numbers[0]:.6g}" if numbers else ""
         got += f", and {len(numbers) - 1} more" if len(numbers) > 1 else ""
-        faults += _faults_of(bad, thing, f"from {low:g} to {high:g}, or missing", got, "Export it again")
+        faults += _faults_of(bad, thing, f"from {low:g} to {high:g}, or missing", got, step)
     sd = [(row, np.asarray(row.sd)) for row in rows if row.sd is not None]
     exact = [(row, own == 0.0) for row, own in sd if np.any(own == 0.0)]
     if any(np.any(own > 0.0) for _, own in sd):

@@ -167,10 +167,6 @@ UNFIT = {
     },
     "a rule in part for nothing": ([row()], FileFacts(body=("stapes=1,typo.uff:1",)), "--body stapes"),
     "a rule for nothing": ([row()], FileFacts(body=("base=7-9",)), "--body base"),
-    "other lines": (
-        [row("1", body="a"), row("2", [410, 660, 905, 1100], body="b")], FileFacts(),
-        "the frequencies of bodies a and b",
-    ),
     "infinite values": ([row(value=np.inf)], FileFacts(), "the values"),
     "half of the positions": (
         [row("1"), row("2", position_m=np.full(3, np.nan))], FileFacts(), "points 2 of body stapes",
@@ -194,7 +190,7 @@ IMPOSSIBLE = {
     "the number of averages": {"n_avg": 0.0},
     "the standard deviations": {"sd": -1.0},
     "the length of a direction": {"direction": 2.0 * Z},
-    "the coordinates of the points, in mm": {"position_m": np.full(3, 1e10)},
+    "the coordinates of points, in mm": {"position_m": np.full(3, 1e10)},
 }
 
 
