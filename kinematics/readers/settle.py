@@ -119,10 +119,8 @@ def _faults_of(bad: Sequence[tuple[Row, Any]], thing: str, expected: str, got: s
     numbers = set[int]()
     for row, mask in bad:
         if isinstance(row.where, Place) and (row.where.file, row.where.unit) == (first.file, first.unit):
-            lines = (
-                row.where.numbers if row.lines is None else row.lines[... if mask is None else mask].tolist()
-            )
-            numbers |= set(map(int, lines))
+            lines = None if row.lines is None or mask is None else row.lines[mask]
+            numbers |= set(row.where.numbers if lines is None else lines.astype(int).tolist())
     return [Fault(thing, expected, got, replace(first, numbers=tuple(sorted(numbers))), step)]
 
 
@@ -247,7 +245,7 @@ def _range_faults(rows: Sequence[Row]) -> list[Fault]:
                 own = np.atleast_1d(np.asarray(numbers_of(row), dtype=float))
             outside = (own < low) | (own > high)
             if np.any(outside):
-                bad.append((row, outside if own.shape == row.freq_hz.shape else None))
+                bad.append((row, outside if own.shape == row.freq_hz.shape else ...))
                 numbers += own[outside].tolist()
         got = f"{numbers[0]:.6g}" if numbers else ""
         got += f", and {len(numbers) - 1} more" if len(numbers) > 1 else ""
