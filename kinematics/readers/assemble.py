@@ -17,7 +17,7 @@ from kinematics.readers.points import Points, read_points
 from kinematics.readers.recording import QUANTITY_OF_ORDER, Recording, Row
 from kinematics.readers.settle import on_one_grid, twice_faults
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, StapeskitError, collect_faults, list_some, raise_all
+from stapeskit.faults import Fault, Place, StapeskitError, collect_faults, list_some, raise_all
 from stapeskit.warnings import Notice, unique
 
 Take = tuple[str, str]
@@ -234,12 +234,12 @@ def _positions(rows: Sequence[Row], points: Points | None) -> dict[str, Array]:
     StapeskitError
         A point with two, or some points without any.
     """
-    body, faults, found = rows[0].body, list[Fault](), dict[str, tuple[Array, str]]()
+    body, faults, found = rows[0].body, list[Fault](), dict[str, tuple[Array, Place | str]]()
     if points is not None:
         listed = points.positions_m.items()
         found = {point: (place, points.file) for (name, point), place in listed if name == body}
     for row in rows:
-        place, where = row.position_m, str(row.where)
+        place, where = row.position_m, row.where
         if np.any(np.isnan(place)):
             continue
         known, source = found.setdefault(row.point, (place, where))

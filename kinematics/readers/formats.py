@@ -134,7 +134,6 @@ def read_file(path: Path, facts: FileFacts) -> Recording:
     from kinematics.readers.settle import settled
     from stapeskit.sandbox import read_apart, size_on_disk
 
-    path = Path(path)
     path = path if path.name else path.resolve()  # the folder "." has no name
     entry = format_of(path)
     module = f"kinematics.readers.{'series' if entry.series and facts.channels else entry.name}"
@@ -142,8 +141,7 @@ def read_file(path: Path, facts: FileFacts) -> Recording:
     try:
         if not entry.libraries or (entry.name == "series" and path.suffix.lower() in TEXT_ENDINGS):
             return settled(read(path, facts), facts)
-        limit_s = _LIMIT_S + _LIMIT_S_PER_BYTE * size_on_disk(path)
-        modules = (module, *entry.libraries)
+        limit_s, modules = _LIMIT_S + _LIMIT_S_PER_BYTE * size_on_disk(path), (module, *entry.libraries)
         found = read_apart(lambda: read(path, facts), path, entry.words, limit_s, modules=modules)
         return settled(found, facts)
     except OSError as fault:
@@ -159,28 +157,35 @@ def format_of(path: Path) -> Format:
     StapeskitError
         There is no such file, or nothing known in it.
     """
+    want, step = (
+        f"one of {', '.join(entry.words for entry in FORMATS)}",
+        "See points2dof --help for the layouts",
+    )
     if path.is_dir():
         files = export_files(path)
         if any(_head_of(file).kind == "psv" for file in files):
             return next(entry for entry in FORMATS if entry.name == "psv")
-        want, got = "one with text exports of a scanning vibrometer", f"{len(files)} other text files"
+        want, got = "a folder with text exports of a scanning vibrometer", f"{len(files)} other text files"
         step = "Give the files themselves, or the folder of a text export"
-        raise StapeskitError.of("a vibrometer folder", want, got, path.name, step)
-    if not path.is_file():
-        step = "Check its name and folder"
-        raise StapeskitError.of("the vibrometer file", "an existing file", path.name, "", step)
-    head = _head_of(path)
-    held = next((entry for entry in FORMATS if entry.holds(head)), None)
-    if held is not None:
-        return held
-    want, got = f"one of {', '.join(entry.words for entry in FORMATS)}", path.suffix or path.name
-    step = "See points2dof --help for the layouts"
-    if head.content.startswith(_ZIP):
-        got, step = "a workbook or archive", "Save its sheet as CSV, or unpack it, and give the files in it"
-    elif head.suffix in (".svd", ".pvd", ".set"):
-        want, got, step = "a compound file of PSV 10", "another scan file, or a damaged one", _EXPORT_STEP
-    elif not head.content:
-        got, step = "0 bytes", "Export it again"
+    elif not path.is_file():
+        want, got, step = "an existing file", "none of this name", "Check its name and folder"
+    else:
+        head = _head_of(path)
+        held = next((entry for entry in FORMATS if entry.holds(head)), None)
+        if held is not None:
+            return held
+        got = path.suffix or path.name
+        if head.content.startswith(_ZIP):
+            got, step = (
+                "a workbook or archive",
+                "Save its sheet as CSV, or unpack it, and give the files in it",
+            )
+        elif head.suffix in (".svd", ".pvd", ".set"):
+            want, got, step = "a compound file of PSV 10", "another scan file, or a damaged one", _EXPORT_STEP
+        elif head.suffix in (".wav", ".wave"):
+            step = "Save its samples as .npz or CSV, one array a channel, and give --channels"
+        elif not head.content:
+            got, step = "0 bytes", "Export it again"
     raise StapeskitError.of("the vibrometer file", want, got, path.name, step)
 
 

@@ -106,7 +106,9 @@ def twice_faults(rows: Sequence[Row]) -> list[Fault]:
     return _faults_of(bad, thing, "there once in a run", got, ONE_EXCITATION)
 
 
-def _faults_of(bad: Sequence[tuple[Row, Any]], thing: str, expected: str, got: str, step: str) -> list[Fault]:
+def _faults_of(
+    bad: Sequence[tuple[Row, Any]], thing: str, expected: str, got: str, step: str, column: str = ""
+) -> list[Fault]:
     """Return one fault of several rows, each with a mask of its lines or None; none without a row.
 
     Its place is that of all lines, datasets ... of the first one's file.
@@ -121,7 +123,8 @@ def _faults_of(bad: Sequence[tuple[Row, Any]], thing: str, expected: str, got: s
         if isinstance(row.where, Place) and (row.where.file, row.where.unit) == (first.file, first.unit):
             lines = None if row.lines is None or mask is None else row.lines[mask]
             numbers |= set(row.where.numbers if lines is None else lines.astype(int).tolist())
-    return [Fault(thing, expected, got, replace(first, numbers=tuple(sorted(numbers))), step)]
+    where = replace(first, numbers=tuple(sorted(numbers)), detail=column or first.detail)
+    return [Fault(thing, expected, got, where, step)]
 
 
 def _in_si(rows: Sequence[Row], faults: list[Fault], notices: list[Notice]) -> list[Row]:
@@ -226,10 +229,12 @@ def _line_faults(rows: Sequence[Row]) -> list[Fault]:
     for row in rows:
         freq = row.freq_hz
         odd = ~((freq > 0.0) & (freq <= HIGHEST_HZ))
-        again = np.concatenate([[False], np.diff(freq) <= SAME_LINE * freq[1:]])[: len(freq)]
-        got += [f"{one:g}" for one in freq[odd]] + [f"{one:g} twice" for one in freq[again]]
+        again = np.diff(freq) <= SAME_LINE * freq[1:]
+        got += [f"{one:g}" for one in freq[odd]] + [f"{one:g} twice" for one in freq[1:][again]]
+        odd[1:] |= again
+        odd[:-1] |= again
         got += [] if len(freq) else ["none"]
-        bad += [(row, odd | again)] if np.any(odd | again) or not len(freq) else []
+        bad += [(row, odd)] if np.any(odd) or not len(freq) else []
     want = "finite, above 0, and different in one channel and run"
     step = "Write every frequency once, in Hz; number repeats in a column repeat"
     return _faults_of(bad, "the frequencies", want, list_some(got), step)
@@ -249,7 +254,9 @@ def _range_faults(rows: Sequence[Row]) -> list[Fault]:
                 numbers += own[outside].tolist()
         got = f"{numbers[0]:.6g}" if numbers else ""
         got += f", and {len(numbers) - 1} more" if len(numbers) > 1 else ""
-        faults += _faults_of(bad, thing, f"from {low:g} to {high:g}, or missing", got, step)
+        want = f"from {low:g} to {high:g}, or missing"
+        column = list_some(row.source for row, _ in bad if thing == "the values" and row.lines is not None)
+        faults += _faults_of(bad, thing, want, got, step, column)
     sd = [(row, np.asarray(row.sd)) for row in rows if row.sd is not None]
     exact = [(row, own == 0.0) for row, own in sd if np.any(own == 0.0)]
     if any(np.any(own > 0.0) for _, own in sd):

@@ -179,8 +179,8 @@ def _rows_of(table: Table, columns: Columns, faults: list[Fault]) -> list[Row]:
         lines = slice(a, b) if np.all(sound[a:b]) else a + np.flatnonzero(sound[a:b])
         given |= {name: part[lines] for name, part in known.items()} | {"lines": places[lines]}
         if np.any(sound[a:b]):
-            where = table.where(line)
-            rows.append(Row(freq_hz=freq[lines], value=value[lines], unit=unit, where=where, **given))
+            given |= {"source": " or ".join(columns.pair), "where": table.where(line)}
+            rows.append(Row(freq_hz=freq[lines], value=value[lines], unit=unit, **given))
     return rows
 
 

@@ -181,11 +181,8 @@ def _coherence(one: Dataset, others: Sequence[Dataset], where: Place) -> Array |
     found = [other for other, its in zip(others, keys, strict=True) if its == key] or own
     lines = [other["x"] for other in found]
     if len(found) > 1 or not all(len(x) == len(one["x"]) and np.allclose(x, one["x"], 1e-5) for x in lines):
-        counts = " and ".join(f"{len(x)}" for x in lines)
-        got, want = (
-            f"{len(found)} of {counts} lines from {lines[0][0]:g} Hz",
-            "one, at the lines of its response",
-        )
+        got = list_some(f"{len(x)} lines from {x[0]:g} Hz" for x in lines)
+        want = f"one, at the {len(one['x'])} lines of its response"
         raise StapeskitError.of("the coherence", want, got, where, "Export both again")
     return np.real(found[0]["data"]).astype(float) if found else None
 
@@ -262,7 +259,7 @@ def _global_systems(one: Dataset) -> dict[int, bool]:
         points = [np.reshape(one[name], (-1, 3)).astype(float) for name in ("ref_o", "x_point", "xz_point")]
         origin, on_x, on_xz = points
         along = (on_x[:, 0] > 0.0) & ~np.any(on_x[:, 1:], axis=1) & (on_xz[:, 2] > 0.0) & (on_xz[:, 1] == 0.0)
-        alike = along & ~np.any(origin, axis=1) & ~np.any(np.asarray(one["ref_cs_num"], dtype=int))
+        alike = along & ~np.any(origin, axis=1) & (np.atleast_1d(one["ref_cs_num"]).astype(int) == 0)
     else:
         frames = np.asarray(one["CS_matrices"], dtype=float).reshape(-1, 4, 3)
         alike = np.all(np.isclose(frames, np.vstack([np.eye(3), np.zeros(3)]), atol=1e-9), axis=(1, 2))
@@ -290,29 +287,24 @@ def _direction_faults(functions: Sequence[Dataset], file: str, notices: list[Not
 
     Some programs number channels and write +z for all of them.
     """
-    texts = [_TEXT_AXIS.search(f"{one.get('id1', '')} {one.get('id2', '')}") for one in functions]
-    named = [
-        (one, match[0])
-        for one, match in zip(functions, texts, strict=True)
-        if match and one["rsp_dir"] and not _is_direction(match, int(one["rsp_dir"]))
-    ]
+    texts, named = set[str](), list[tuple[Dataset, str]]()
+    for one in functions:
+        match = _TEXT_AXIS.search(f"{one.get('id1', '')} {one.get('id2', '')}")
+        if match and (code := int(one["rsp_dir"])):
+            texts.add(match[0])
+            alike = "XYZ".index(match[2]) + 1 == abs(code) and match[1] in ("", "+" if code > 0 else "-")
+            named += [] if alike else [(one, match[0])]
     if not named:
         return []
-    got = list_some(
-        dict.fromkeys(f"{text} where record 6 has {one['rsp_dir']:+.0f}" for one, text in named), 3
-    )
-    if len({one["rsp_dir"] for one in functions}) == 1 and len({match[0] for match in texts if match}) > 1:
+    got = list_some(f"{text} where record 6 has {one['rsp_dir']:+.0f}" for one, text in named)
+    if len({one["rsp_dir"] for one in functions}) == 1 and len(texts) > 1:
         where = Place(file, "dataset", tuple(one["place"] for one, _ in named))
         want = "those of record 6 (1, 2, 3 for x, y, z)"
         return [Fault("the directions in the texts", want, got, where, _OWN_FILES)]
-    text = f"texts of {file} name other directions: {got}. Record 6 was taken."
-    notices.append(Notice("axes_assumed", text))
+    notices.append(
+        Notice("axes_assumed", f"texts of {file} name other directions: {got}. Record 6 was taken.")
+    )
     return []
-
-
-def _is_direction(text: re.Match[str], code: int) -> bool:
-    """Return whether a direction in words is that of a code, as far as it has a sign."""
-    return "XYZ".index(text[2]) + 1 == abs(code) and text[1] in ("", "+" if code > 0 else "-")
 
 
 def _notices(
