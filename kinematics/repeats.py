@@ -13,11 +13,11 @@ import numpy as np
 from kinematics.fit.noise import largest_amplitude
 from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.arrays import Array, ComplexArray
+from stapeskit.faults import list_some
 from stapeskit.warnings import Notice
 
 _UNLIKELY = 1e-3  # probability below which a repeat is off, or scatter exceeds the stated noise
 _POOLED_DOF = 60  # of the scatter at a line and its neighbours: the noise is known to 9 %
-_LEAST_GAIN = 1e-3  # differences of gain that matter nowhere: lasers are calibrated to 1e-2
 _LARGE_GAIN, _MANY_SD = 0.1, 6.0  # the level of a shaker that is set again differs by some percent
 _FEWEST = 4  # repeats of which one can be told from the others
 
@@ -156,43 +156,16 @@ def _common(gains: ComplexArray) -> complex:
 
 
 def _gain_notices(run: str, names: Sequence[str], gains: ComplexArray, sd: float) -> list[Notice]:
-    """Report one gain unlike the others, else a gain or phase that grows with the order of the repeats.
-
-    ``sd`` is that of the real part of a gain, as noise makes it.
-    """
-    from scipy.stats import linregress, t
-
-    count = len(gains)
-    for place in range(count if count >= _FEWEST else 0):
-        others = np.delete(gains, place)
-        away = abs(gains[place] - others.mean())
-        scatter = np.hypot(np.sqrt(np.sum(np.abs(others - others.mean()) ** 2) / (count - 2)), sd)
-        size = max(scatter * np.sqrt(count / (count - 1)), 1e-300)
-        if away > _LEAST_GAIN and 2.0 * count * t.sf(away / size, count - 2) < _UNLIKELY:
-            text = (
-                f"run {run}: repeat {names[place]} differs from the others by {100.0 * away:.2g} % in gain, "
-                "which moves the pooled values: look at it, and leave it out if there is a reason."
-            )
-            return [Notice("repeats_differ", text)]
-    courses = {"gain": (np.abs(gains), "%", 100.0), "phase": (np.angle(gains), "degrees", 180.0 / np.pi)}
-    for what, (course, unit, factor) in courses.items() if count >= _FEWEST else ():
-        trend = linregress(np.arange(count), course)
-        whole = float(trend.slope) * (count - 1)
-        if trend.pvalue < _UNLIKELY and abs(whole) > max(_LEAST_GAIN, 3.0 * sd):
-            text = (
-                f"run {run}: the {what} of all channels drifts by {factor * whole:+.2g} {unit} from the "
-                "first repeat to the last; responses per reference (--reference) do not contain it."
-            )
-            return [Notice("repeats_differ", text)]
-    apart = [abs(gain / gains[0] - 1.0) for gain in gains]
-    if max(apart) > _LARGE_GAIN + _MANY_SD * sd:
-        factors = ", ".join(f"{gain.real:.3g}{gain.imag:+.3g}i" for gain in gains / gains[0])
-        text = (
-            f"run {run}: the repeats have {factors} times the values of the first, and nothing tells which "
-            "is right: the pooled motion is as wrong as they differ. Leave the wrong ones out."
-        )
-        return [Notice("repeats_differ", text)]
-    return []
+    """Report gains that differ by more than the level of a shaker does; ``sd`` is that of one by noise."""
+    off = np.flatnonzero(np.abs(gains - 1.0) > _LARGE_GAIN + _MANY_SD * sd)
+    if not off.size:
+        return []
+    factors = list_some(f"repeat {names[k]} ({gains[k].real:.3g}{gains[k].imag:+.2g}i)" for k in off)
+    text = (
+        f"run {run}: {factors} of {len(gains)} differ from the mean by this factor, which moves the pooled "
+        "values: leave the wrong ones out. Responses per reference (--reference) do not contain it."
+    )
+    return [Notice("repeats_differ", text)]
 
 
 def _pooled(body: BodyChannels, own: Sequence[int], found: RepeatedRun) -> tuple[ComplexArray, Array]:

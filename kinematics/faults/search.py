@@ -18,7 +18,7 @@ from kinematics.faults.kinds import Finding, Place, free
 from kinematics.faults.other_causes import Cause, other_causes
 from kinematics.faults.rounds import Round, null_fit
 from kinematics.faults.scores import pattern_gain
-from kinematics.faults.unstated_noise import amplitude_noise
+from kinematics.faults.unstated_noise import FAR, amplitude_noise, line_residuals, middle_square
 from kinematics.fit.noise import assumed_sd
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.joint.estimate import State
@@ -103,7 +103,7 @@ def diagnose(
     if level != 1.0:
         readings = replace(readings, known=None)
         first = null_fit(readings, layout)
-    grows = None if first.clean() else amplitude_noise(readings, first.state)
+    grows = None if first.clean() else amplitude_noise(readings, State(first.packed))
     if grows is not None:
         first = null_fit(replace(grows, known=None), layout)
     found, last = _search(first)
@@ -142,7 +142,10 @@ def _noise_level(now: Round) -> float:
     spread = 1.25 * np.sqrt(chance / np.count_nonzero(some))
     if abs(np.log(middle)) < 5.0 * spread or pattern_gain(now.state, middle) > 0.0:
         return 1.0
-    return float(np.sqrt(middle))
+    squares = line_residuals(now.readings, State(now.packed), "t4").squares
+    near = squares[squares < FAR * middle_square(squares)]
+    few = middle > 2.0 * float(np.mean(near))  # values far off are louder, not all
+    return 1.0 if few else float(np.sqrt(middle))
 
 
 def _search(first: Round) -> tuple[list[Finding], Round]:

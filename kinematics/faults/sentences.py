@@ -20,7 +20,8 @@ STEPS = {
     "noise": "Check focus and reflection; state its sd, leave it out, or fit with --robust t4",
     "label_swap": "Exchange these names",
     "drift": "Measure again: the sensitivity changed during the sweep",
-    "flexible": "The body bends, or rows belong to another body: use lower frequencies or fewer points",
+    "flexible": "The body bends, or rows and points do not belong together (another body, a row too many, "
+    "exchanged beams): compare both, use lower frequencies or fewer points",
     "zeros": "Nothing was recorded: measure again",
 }
 """What to do about each verdict."""

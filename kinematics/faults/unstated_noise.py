@@ -17,10 +17,14 @@ from kinematics.joint.noise_levels import LEAST_FREEDOM
 from kinematics.joint.pack import Readings
 from stapeskit.arrays import Array, ComplexArray
 
+FAR = 14.0
+"""Squares of residuals over their mean from which on values are far off: by chance 8e-7 of them, exp(-14)."""
+
 _LEAST_LEVEL_DOF = 200.0  # of a noise level apart from the motion: known to 5 %
 _SHARES = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 33)])  # of the amplitude, over the constant part
 _LEAST_GAIN = 3.0  # log likelihood of the middle channel: e^3 in each of half the channels
 _LEAST_LINES = 4  # for each motion
+_LEAST_SHARE = 0.05  # of its noise that a channel must keep in its residuals
 
 
 def unknown_noise(estimate: Estimate, tests: Sequence[Test]) -> Noise:
@@ -63,15 +67,25 @@ class LineResiduals:
     size: Array
     own: Array
 
+    @property
+    def squares(self) -> Array:
+        """Squares of residuals over their expectation, (c, N); NaN where missing."""
+        return 0.5 * np.abs(self.scaled) ** 2 / np.maximum(self.own, _LEAST_SHARE)[:, None]
 
-def line_residuals(readings: Readings, state: State) -> LineResiduals:
+
+def middle_square(squares: Array) -> float:
+    """Return the mean of squares that few large ones do not move: the median over that of chi2 of 2, ln 2."""
+    return float(np.nanmedian(squares)) / float(np.log(2.0))
+
+
+def line_residuals(readings: Readings, state: State, robust: str = "none") -> LineResiduals:
     """Fit the motion of every line under the geometry of a state."""
     rows = state.rows @ state.packed.visible
     factor = readings.geometry.factor.T
     live = np.isfinite(readings.noise_factor)[:, None]
     value = np.where(live, readings.value / np.where(factor == 0.0, 1.0, factor), np.nan)
     sd = readings.sd * np.where(live, readings.noise_factor[:, None], 1.0)
-    found = solve(rows, value, sd)
+    found = solve(rows, value, sd, robust)
     fitted = rows @ found.z
     own = found.freedom / (2.0 * np.maximum(found.used, 1))
     return LineResiduals(found.z, (value - fitted) / sd, np.abs(fitted) / sd, own)
@@ -86,11 +100,12 @@ def amplitude_noise(readings: Readings, state: State) -> Readings | None:
     -----
     The variance of a value a is taken as sd^2 + (share a)^2, up to a factor of each channel. What follows the
     motion in a channel is subtracted before, so that faults that are the same at all lines do not matter, and
-    the middle channel decides, so that few channels do not.
+    the middle channel decides, so that few channels do not; nor do values far off, which are left out.
     """
-    lines = line_residuals(readings, state)
+    lines = line_residuals(readings, state, "t4")
+    near = np.where(lines.squares < FAR * middle_square(lines.squares), lines.scaled, np.nan)
     gains = []
-    for rest, size, factor in zip(lines.scaled, lines.size, readings.sd, strict=True):
+    for rest, size, factor in zip(near, lines.size, readings.sd, strict=True):
         used = np.flatnonzero(np.isfinite(rest))
         if len(used) < _LEAST_LINES * len(lines.motion):
             continue

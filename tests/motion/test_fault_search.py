@@ -156,6 +156,16 @@ def test_values_and_lines_far_off_are_one_cause(single, mains):
     assert ("50 Hz" in cause.step) == mains
 
 
+def test_values_far_off_in_strong_signals_are_no_bending():
+    """They pull least squares, and the errors of positions with it, farther than any shape of bending."""
+    recording = recorded(38, lines=40, noise=0.003)
+    far = np.random.default_rng(3).random(recording.velocity_m_s.shape) < 0.03
+    value = np.where(far, 3.0, 1.0) * recording.velocity_m_s
+    (cause,) = diagnosed(replace(recording, velocity_m_s=value))[2].causes
+    assert cause.code == "outliers"
+    assert cause.text.startswith(tuple(str(count) for count in range(22, 44)))
+
+
 def test_estimates_lie_within_their_sd():
     pulls = []
     for seed in range(8):

@@ -265,25 +265,6 @@ def test_points_that_lie_on_the_bone_raise_no_alarm(tmp_path):
     assert 0.3 < np.mean(sizes) < 1.2
 
 
-@pytest.mark.parametrize(("body", "first", "shift"), [("stapes", 0, 1), ("base", 0, -1), ("base", 3, 1)])
-def test_points_that_have_the_data_of_the_next_row_are_named(tmp_path, body, first, shift):
-    """Positions moved down by a row: the data of each point are those of the place of the next."""
-    simulated(tmp_path, seed=6, in_footplate=True)
-
-    def move(table):
-        own = table.index[table["body"] == body][first:]
-        axes = ["x_mm", "y_mm", "z_mm"]
-        table.loc[own, axes] = np.roll(table.loc[own, axes].to_numpy(), shift, axis=0)
-
-    rewrite(tmp_path / "points.csv", move)
-    with pytest.raises(StapeskitError) as caught:
-        measured(tmp_path, fiducials="none")
-    fault = caught.value.faults[0]
-    assert fault.thing == f"the rows of body {body}"
-    one, other = (first + 1, first + 2) if shift == 1 else (first + 2, first + 1)
-    assert f"point {one} has those of point {other}" in fault.got
-
-
 def test_half_turns_of_the_references_are_named_also_where_they_bring_points_near_the_bone(tmp_path):
     truth = simulated(tmp_path, seed=3)
     change = axes_changes()["the axes x and z reversed"]
