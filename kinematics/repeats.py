@@ -160,7 +160,7 @@ def _gain_notices(run: str, names: Sequence[str], gains: ComplexArray, sd: float
     off = np.flatnonzero(np.abs(gains - 1.0) > _LARGE_GAIN + _MANY_SD * sd)
     if not off.size:
         return []
-    factors = list_some(f"repeat {names[k]} ({gains[k].real:.3g}{gains[k].imag:+.2g}i)" for k in off)
+    factors = list_some(f"repeat {names[k]} ({gains[k].real:.3g}{gains[k].imag:+.2g}i)" for k in off.tolist())
     text = (
         f"run {run}: {factors} of {len(gains)} differ from the mean by this factor, which moves the pooled "
         "values: leave the wrong ones out. Responses per reference (--reference) do not contain it."
