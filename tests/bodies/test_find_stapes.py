@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import shift
 
-from ct_inertia.find.box import block_for
 from ct_inertia.find.choose import Search
 from ct_inertia.find.find import find_stapes
 from ct_inertia.find.levels import material_levels, readings
 from ct_inertia.find.necks import find_necks
 from ct_inertia.find.overview import look_at, noise_of
 from ct_inertia.find.pieces import count_holes, label_pieces
-from ct_inertia.find.split import grid_edge
 from ct_inertia.frames.footplate import footplate_frame
 from ct_inertia.grey.measure import measure
 from ct_inertia.scan.scan import Scan
@@ -309,12 +307,3 @@ def test_the_box_keeps_its_place_in_a_turned_scan():
     assert there.volume_mm3 == pytest.approx(here.volume_mm3, rel=1e-6)
     expected = turned.scan_points(scan.index_points(here.centroid_mm))
     assert there.centroid_mm == pytest.approx(expected, abs=1e-5)
-
-
-@pytest.mark.parametrize("voxel_mm", [0.01, 0.0195, 0.03])
-def test_the_grid_of_a_split_is_bounded_where_gaps_are_still_seen(voxel_mm):
-    """A box full of bone, 8 x 8 x 4 mm: at 19.5 um it has 32 million voxels."""
-    size, spacing = np.array([7.9, 7.9, 4.0]), np.full(3, voxel_mm)
-    block = block_for(spacing, grid_edge(size, spacing)) * spacing
-    assert np.prod(size / block) < 24e6
-    assert np.all(block < 0.045)

@@ -13,7 +13,7 @@ import pytest
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform, rotation_from_vector
 from stapeskit.provenance import document_hash, frames_hash
-from stapeskit.records.mass_file import Reader, mass_json, mass_record, read_mass, read_mass_json
+from stapeskit.records.mass_file import mass_json, mass_record, read_mass, read_mass_json
 from stapeskit.records.mass_matrix import MassMatrix, frame_derivative, parameter_transfer
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.spatial import matrix_from_parameters, twist_transfer
@@ -257,18 +257,6 @@ def test_no_junk_anywhere_ends_in_a_traceback_or_is_believed(raw: dict, junk: ob
         with contextlib.suppress(StapeskitError):
             mass_record(spoiled)
             assert free or absent or (junk == {} and path[0] == "mass_matrix_plate_axes"), path
-
-
-@pytest.mark.parametrize("size", [1e-4, 1e-2, 1.0])
-@pytest.mark.parametrize(("one_two", "two_one", "good"), [
-    (1.0, 1.0, True), (-0.5, -0.5, True), (1.01, 1.01, False), (-1.01, -1.01, False), (0.5, 0.4, False),
-])  # fmt: skip
-def test_a_covariance_is_judged_by_its_correlations_whatever_its_size(size, one_two, two_one, good) -> None:
-    scale = np.array([3e-6, 1e-9, 1e-12])
-    correlations = np.array([[1.0, one_two, 0.0], [two_one, 1.0, 0.0], [0.0, 0.0, 0.0]])
-    reader = Reader({"a": (size**2 * correlations * np.outer(scale, scale)).tolist()}, "mass.json")
-    matrix = reader.covariance("a", scale=scale)
-    assert (matrix is not None, reader.faults == []) == (good, good)
 
 
 def test_the_writer_refuses_what_the_reader_would(record: MassRecord) -> None:

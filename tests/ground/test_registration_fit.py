@@ -168,21 +168,6 @@ def test_the_cell_that_is_off_is_named():
     assert "add -1, " in text
 
 
-def test_coplanar_marks_cannot_tell_which_is_off():
-    known = MARKS[:4].copy()
-    known[1, 1] += 0.5
-    text = text_of(fit(SEEN[:4], known, 0.02))
-    assert "a, b, c, d" in text
-    assert "lies" not in text
-
-
-def test_three_fiducials_can_only_disagree():
-    known = MARKS[[0, 1, 4]].copy()
-    known[0, 0] += 1.0
-    assert text_of(fit(SEEN[[0, 1, 4]], known, 0.02))
-    assert not [n for n in fit(SEEN[[0, 1, 4]], known).notices if n.code == "fiducials_inconsistent"]
-
-
 @pytest.mark.parametrize("sd", [0.01, None])
 def test_a_wrong_scale_is_named(sd):
     assert " 0.9804 times " in text_of(fit(1.02 * SEEN, MARKS, sd))

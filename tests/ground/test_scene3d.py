@@ -90,15 +90,6 @@ def test_motions_arrive_line_by_line_with_real_before_imaginary_parts():
     assert len(unpacked(alone["bodies"]["stapes"], "<f4")) == 12
 
 
-def test_missing_lines_of_a_motion_are_at_rest():
-    amplitudes = np.full((2, 6), np.nan + 0j)
-    amplitudes[1] = 1.0
-    content = Motion("measured", amplitudes, np.array([1.0, 2.0])).content()
-    sent = unpacked(content["bodies"]["stapes"], "<f4").reshape(2, 12)
-    assert np.all(sent[0] == 0.0)
-    assert content["start"] == 1
-
-
 def test_the_view_at_the_start_holds_every_surface_and_keeps_the_first_one_seen():
     ball = solid("ball")
     stapes = Mesh("stapes", ball.points, ball.regular_faces, "#b06f12")

@@ -17,7 +17,7 @@ from kinematics.companions import with_companions
 from kinematics.options import MotionFiles, MotionOptions
 from kinematics.place.fiducials import read_fiducials
 from kinematics.points2dof import check_inputs
-from kinematics.report.page import motion_page, motion_verdict
+from kinematics.report.page import motion_verdict
 from kinematics.results import ENDINGS
 from stapeskit.command_line import parse
 from stapeskit.faults import StapeskitError
@@ -131,20 +131,6 @@ def test_the_verdict_of_the_page_is_that_of_the_worst_warning():
     assert motion_verdict([Notice("noise_estimated", "")])[0] == "believe"
     assert motion_verdict([Notice("noise_estimated", ""), Notice("channel_gain", "")])[0] == "check"
     assert motion_verdict([Notice("channel_gain", ""), Notice("phase_convention", "")])[0] == "do not use"
-
-
-def test_write_and_write_into_write_the_same_files(ear, tmp_path):
-    folder, _ = ear
-    result = points2dof(folder / "ldv.csv")
-    written = result.write(tmp_path / "one", name="ear.csv")
-    (tmp_path / "two").mkdir()
-    names = result.write_into(tmp_path / "two", "ear.csv", report=False)
-    assert names == ("ear.csv", "ear.h5", "ear.channels.csv")
-    assert [path.name for path in written] == [f"ear{ending}" for ending in ENDINGS]
-    for name in ("ear.csv", "ear.channels.csv"):
-        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
-    with pytest.raises(StapeskitError):
-        result.write(folder, name="points.csv")
 
 
 def test_a_mass_in_memory_leaves_the_hash_of_its_frames(ear):
@@ -305,18 +291,3 @@ def test_amplitudes_of_the_other_sign_of_time_are_told_before_k_and_d_are_believ
         codes = {notice.code for notice in fit.notices}
         assert ("phase_convention" in codes) is expected
         assert (fit.verdict.level == "do not use") is expected
-
-
-def test_the_page_has_its_parts(ear):
-    """Verdicts, registration, shared errors, what would have been found, two figures, moving bodies."""
-    folder, _ = ear
-    made = motion_page(points2dof(folder / "ldv.csv"))
-    sections = (*made.sections, *made.appendix)
-    parts = {section.name: "".join(map(str, section.blocks)) for section in sections}
-    drawn = [name for name, text in parts.items() for _ in range(text.count('<figure class="drawing"'))]
-    assert drawn == ["Amplitude and phase", "Motion and residuals"]
-    registered = parts["From the vibrometer to the footplate"]
-    assert "<table" in registered
-    assert "laser" in registered.partition("Errors that all lines share")[2]
-    assert "gain of a channel" in parts["Motion and residuals"].partition("What would have been found")[2]
-    assert '<figure class="scene" data-scene' in made.html()

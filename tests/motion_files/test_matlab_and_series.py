@@ -221,22 +221,6 @@ def test_times_are_read_in_seconds_alone(name, factor, tmp_path):
     assert "time_s" in caught.value.faults[0].got
 
 
-def test_two_sampling_rates_are_refused(tmp_path):
-    time, drive, responses, _, _ = multisine()
-    np.savez(tmp_path / "a.npz", fs=9000.0, time_s=time, a=responses[0], b=responses[1], d=drive)
-    with pytest.raises(StapeskitError) as caught:
-        read_file(tmp_path / "a.npz", FileFacts(channels=channels(tmp_path, LISTED)))
-    assert "8000" in caught.value.faults[0].got
-    assert "9000" in caught.value.faults[0].got
-
-
-def test_a_series_without_its_table_is_refused(tmp_path):
-    np.savez(tmp_path / "a.npz", fs=8000.0, a=np.zeros(100))
-    with pytest.raises(StapeskitError) as caught:
-        read_file(tmp_path / "a.npz", FileFacts())
-    assert "--channels" in caught.value.faults[0].expected
-
-
 SERIES_MISTAKES = {
     "a missing channel": (["e,response,stapes,1,z,m/s,", "d,reference,,,,V,"], "channel e"),
     "no reference": (["a,response,stapes,1,z,m/s,"], "the table of channels"),

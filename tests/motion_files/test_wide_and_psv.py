@@ -206,15 +206,6 @@ def test_rms_of_the_signal_holds_for_its_columns(tmp_path):
     assert "amplitude" not in recording.lacks
 
 
-@pytest.mark.parametrize("words", [(b"Interpolated", b"Yes"), (b"Interpoliert", b"Ja")])
-def test_values_mixed_between_points_are_reported(words, tmp_path):
-    block = fastscan(400, PLACES_M, VELOCITY[:, :, 0]).replace(b"Interpolated:\tNo", b":\t".join(words))
-    path = written(tmp_path, block, "a.txt")
-    treated = [notice.text for notice in read_file(path, FileFacts()).notices if notice.code == "file_read"]
-    (text,) = treated
-    assert "interpolated" in text
-
-
 def test_rms_of_a_name_holds_for_its_column(tmp_path):
     text = wide_table().replace(" Mag", " RMS Mag")
     recording = read_file(written(tmp_path, text), FileFacts())
@@ -229,15 +220,6 @@ def test_rows_that_a_table_of_a_point_lacks_count_as_missing_with_a_notice(tmp_p
     texts = [notice.text for notice in read_measurement([path]).notices if notice.code == "file_read"]
     assert any(text.startswith("6 readings of 3 channels") for text in texts)
     assert any("begin with #" in text for text in texts)
-
-
-def test_points_of_two_sources_are_refused_where_they_repeat(tmp_path):
-    blocks = [
-        point_block(1, VELOCITY[0, 0], PLACES_M[0], source=f"{name}.svd", component="-Z") for name in "ab"
-    ]
-    found = faults(written(tmp_path, b"\r\n".join(blocks), "a.txt"))
-    assert [fault.thing for fault in found] == ["the channel 1 (-z)"]
-    assert "a folder of its own" in found[0].next_step
 
 
 ALIENS = {

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from ct_inertia.surface.repair import boundary_edges, mend, open_walks, read_mesh
+from ct_inertia.surface.repair import mend, open_walks, read_mesh
 from ct_inertia.surface.surface import enclosed_moments
 from ct_inertia.surface.winding import winding_number
 from stapeskit.faults import StapeskitError
@@ -144,26 +144,6 @@ def test_the_winding_number_is_one_inside_and_zero_outside():
     number = winding_number(VERTICES, FACES, points)
     clear = np.abs(depth) > 0.02
     assert number[clear] == pytest.approx((depth[clear] > 0).astype(float), abs=0.05)
-
-
-def test_a_band_that_has_no_sides_is_refused():
-    """A Moebius band closed to a surface that cannot be oriented: a Klein bottle's grid."""
-    n = 12
-    u, v = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
-    number = {}
-
-    def corner(i, j):
-        i, j = (i, j) if i < n else (i - n, (n - j) % n)
-        return number.setdefault((i % n, j % n), len(number))
-
-    faces = []
-    for i, j in zip(u.ravel(), v.ravel(), strict=True):
-        a, b, c, d = corner(i, j), corner(i + 1, j), corner(i + 1, j + 1), corner(i, j + 1)
-        faces += [(a, b, c), (a, c, d)]
-    assert len(boundary_edges(np.array(faces))) == 0
-    with pytest.raises(StapeskitError) as caught:
-        mend(RNG.uniform(size=(len(number), 3)), np.array(faces), "a.stl")
-    assert caught.value.faults[0].expected == "closed and orientable"
 
 
 EMPTY = [b"", b"solid x\nendsolid x\n", b"ply\nformat ascii 1.0\n", bytes(84), b"glTF" + bytes(40)]

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import SimpleITK as sitk
 import tifffile
-from PIL import Image
 
 from ct_inertia.scan.open_scan import open_scan
 from ct_inertia.scan.raw import RawLayout
@@ -159,12 +158,6 @@ def test_a_reconstruction_log_of_other_slices_is_refused_with_both_numbers(tmp_p
     assert open_scan(folder, SPACING).spacing_mm == pytest.approx(SPACING)
 
 
-def test_a_missing_file_of_an_ome_image_is_named(tmp_path):
-    path = w.ome_files(tmp_path / "a.ome.tif", picture())
-    (tmp_path / "b.ome.tif").unlink()
-    assert refused(path).got == "no b.ome.tif"
-
-
 def test_only_a_reconstruction_log_gives_the_voxel_size(tmp_path):
     folder = w.slices(tmp_path / "rec", picture("u1"), ending="bmp")
     right = w.skyscan_log(picture("u1"))
@@ -216,27 +209,6 @@ def test_folders_of_slices(tmp_path):
             tifffile.imwrite(tmp_path / f"ear_c{channel}_{k}_8bit.tif", image)
     assert "other_#.tif (7 slices)" in refused(folder).got
     assert "ear_c1_#_8bit.tif" in refused(tmp_path).got
-
-
-def test_pictures_in_colours_and_with_equal_colours(tmp_path):
-    rng = np.random.default_rng(0)
-    for name, band in (("three", None), ("rgb", rng), ("opacity", None)):
-        (tmp_path / name).mkdir()
-        for k, image in enumerate(picture("u1")):
-            if name == "opacity":
-                bands = [Image.fromarray(image), Image.new("L", image.shape[::-1], 255)]
-                Image.merge("LA", bands).save(tmp_path / name / f"{k}.png")
-                continue
-            colours = np.repeat(image[..., None], 3, 2)
-            colours = colours if band is None else rng.integers(0, 255, colours.shape).astype("u1")
-            Image.fromarray(colours).save(tmp_path / name / f"{k}.png")
-    for name in ("three", "opacity"):
-        assert np.array_equal(open_scan(tmp_path / name, SPACING).read(), picture("u1"))
-    assert refused(tmp_path / "rgb").expected == "grey values"
-    table = np.tile(np.random.default_rng(1).permutation(256).astype("u2") * 257, (3, 1))
-    w.plain(tmp_path / "p.tif", picture("u1"))
-    tifffile.imwrite(tmp_path / "p.tif", picture("u1"), photometric="palette", colormap=table)
-    assert refused(tmp_path / "p.tif").expected == "grey values"
 
 
 NO_SCANS = {
@@ -332,17 +304,6 @@ def test_voxels_that_are_not_finite(tmp_path, write):
     air = open_scan(path, 0.02, nan_as_air=True).read()
     assert np.array_equal(air[np.isfinite(array)], array[np.isfinite(array)])
     assert set(air[~np.isfinite(array)]) == {np.median(array[np.isfinite(array)])}
-
-
-def test_a_file_that_shrinks_or_goes_while_it_is_open(tmp_path):
-    path = w.nrrd(tmp_path / "a.nrrd", picture(shape=(40, 30, 20)))
-    scan = open_scan(path)
-    path.write_bytes(path.read_bytes()[:10_000])
-    for _ in range(2):
-        with pytest.raises(StapeskitError) as caught:
-            scan.read()
-        assert caught.value.faults[0].where == "a.nrrd"
-        path.unlink(missing_ok=True)
 
 
 def test_a_volume_shown_mirrored_in_its_viewer_is_read_as_stored_and_that_is_said(tmp_path):

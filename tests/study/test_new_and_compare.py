@@ -57,24 +57,6 @@ def test_of_two_measurements_the_answer_names_one(files: Path) -> None:
     assert read_study(new_study(files, lambda _question: next(answers))).ldv.file == (files / "second.csv",)
 
 
-def test_a_missing_voxel_size_is_asked_for_or_named(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    import SimpleITK as sitk
-    import tifffile
-
-    voxels = sitk.GetArrayFromImage(sitk.ReadImage(files / "scan.nrrd"))
-    (files / "scan.nrrd").unlink()
-    (files / "slices").mkdir()
-    for number, image in enumerate(voxels[:8]):
-        tifffile.imwrite(files / "slices" / f"rec_{number:04}.tif", image, photometric="minisblack")
-    work(["new", str(files), "--yes"])
-    said = capsys.readouterr().out
-    assert "the voxel spacing must be in the file or given" in said
-    answers = iter(["twenty", "0.04", "", "", ""])
-    study = new_study(files, lambda _question: next(answers))
-    assert read_study(study).scan.spacing_mm == pytest.approx((0.04, 0.04, 0.04))
-    assert needs(study) == ""
-
-
 WRONG = [
     "app --port", "app --port abc", "app --port=99999", "app --nope", "app nowhere --no-browser",
     "compare", "compare nowhere elsewhere", "compare nowhere --what-if K", "compare a b --out --force",
