@@ -85,19 +85,6 @@ def test_the_template_is_read_once_its_files_exist(tmp_path: Path) -> None:
     assert set(study.inputs()) >= {"study", "scan.file", "ldv.file"}
 
 
-def test_studies_run_on_the_workers_of_a_dask_scheduler(small: tuple[Path, Truth], tmp_path: Path) -> None:
-    distributed = pytest.importorskip("distributed")
-    shutil.copytree(small[0], tmp_path / "ear")
-    (tmp_path / "ear" / "scan.nrrd").write_bytes(b"NRRD0004\nbroken")
-    with distributed.LocalCluster(
-        1, processes=False, threads_per_worker=1, dashboard_address=None, scheduler_port=0
-    ) as cluster:
-        runner = run_on_dask(cluster.scheduler_address)
-        result = run_studies([tmp_path / "ear" / "study.toml"], tmp_path / "out", runner)
-    assert result.ends["study"].code == 2
-    assert "scan.nrrd" in result.ends["study"].fault
-
-
 _KILLER = """
 import os, signal, sys
 mark = os.environ.get("KILLED_ONCE", "")
