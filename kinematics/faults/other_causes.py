@@ -7,12 +7,12 @@ that it takes from the data (Schwarz 1978, doi:10.1214/aos/1176344136); the like
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.rounds import Round
+from kinematics.faults.rounds import Round, null_fit
 from kinematics.faults.scores import pattern_gain
 from kinematics.faults.unstated_noise import FAR, line_residuals, middle_square
 from kinematics.fit.reference import format_stretches
@@ -21,7 +21,7 @@ from kinematics.joint.tangents import GAIN, PHASE, SHIFT, Parameters
 from stapeskit.arrays import Array
 
 _MOST_FAR = 0.1  # share of values up to which they are single ones
-_LONGEST = 2  # lines of a stretch of them, in the mean
+_BY_CHANCE, _CHANCE = 3, 1e-3  # residuals of few channels are not normal: so many are far off by chance
 _MOST_LOUD, _OF_LOUD_LINE = 0.2, 2  # share of lines up to which they are few; values far off of each
 _LEAST_VALUES = 50  # fewer say too little of a distribution
 _MAINS_HZ, _NEAR_MAINS_HZ = (50.0, 60.0), 0.5
@@ -42,6 +42,8 @@ class Cause:
         Of the warning: its code, what was found, and what to do.
     channel : int or None
         Where most of it is.
+    last : Round or None
+        Without the values that are far off.
     """
 
     gain: float
@@ -49,6 +51,7 @@ class Cause:
     text: str
     step: str
     channel: int | None = None
+    last: Round | None = None
 
 
 def other_causes(now: Round) -> list[Cause]:
@@ -60,28 +63,30 @@ def other_causes(now: Round) -> list[Cause]:
 
 
 def _far_values(now: Round) -> Iterator[Cause]:
-    """Look for values far off, single ones or those of few lines.
-
-    Each stands alone in its channel, whereas a body bends over a band.
-    """
+    """Look for values far off, single ones or those of few lines, without which nothing is wrong."""
     squares = line_residuals(now.readings, State(now.packed), "t4").squares
     known = squares[np.isfinite(squares)]
     if known.size < _LEAST_VALUES:
         return
     squares = np.nan_to_num(squares / middle_square(known))
     far = squares > FAR
-    count, loud = int(np.count_nonzero(far)), np.asarray(far.any(axis=0))
-    stretches = int(np.count_nonzero(np.diff(far.astype(int), prepend=0) == 1))
-    if not 0 < count < min(_MOST_FAR * known.size, float(_LONGEST * stretches)):
+    count = int(np.count_nonzero(far))
+    if not _BY_CHANCE + _CHANCE * known.size < count < _MOST_FAR * known.size:
         return
+    loud = np.asarray(far.any(axis=0))
+    share = min(_MOST_LOUD * len(loud), count / _OF_LOUD_LINE)
+    some = 1 < np.count_nonzero(loud) < share
+    value = np.where(loud if some else far, np.nan, now.readings.value)
+    last = null_fit(replace(now.readings, value=value), now.layout)
+    if not last.clean():
+        return
+    text = f"{count} of {known.size} values lie far off the rigid motion"
+    step = "Fit with --robust huber, or look for drop-outs of the signal"
+    channel: int | None = int(np.argmax(far.sum(axis=1)))
+    if some:
+        text, step, channel = *_lines_in_words(now.readings.freq_hz, loud), None
     gain = float(np.sum(squares[far] - 1.0) - count * np.log(known.size))
-    number = int(np.count_nonzero(loud))
-    if 1 < number < min(_MOST_LOUD * len(loud), count / _OF_LOUD_LINE):
-        yield Cause(gain, "outliers", *_lines_in_words(now.readings.freq_hz, loud))
-    else:
-        text = f"{count} of {known.size} values lie far off the rigid motion"
-        step = "Fit with --robust huber, or look for drop-outs of the signal"
-        yield Cause(gain, "outliers", text, step, int(np.argmax(far.sum(axis=1))))
+    yield Cause(gain, "outliers", text, step, channel, last)
 
 
 def _lines_in_words(freq_hz: Array, loud: NDArray[np.bool_]) -> tuple[str, str]:

@@ -114,6 +114,7 @@ def diagnose(
     sound = np.setdiff1d(last.live, [channel for one in found for channel in one.channels])
     chances[sound] = last.channel_log_p()[sound]
     causes = other_causes(first) if any(finding.kind == "flexible" for finding in found) else []
+    last = next((cause.last for cause in causes if cause.last is not None), last)
     return Diagnosis(() if causes else tuple(found), chances, level, first, last, tuple(causes))
 
 

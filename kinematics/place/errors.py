@@ -166,7 +166,8 @@ def agreement(
     alone = all(error.kind == "position" for error in errors)
     packs = {}
     for number, found in diagnoses.items() if not alone else ():
-        bends = bool(found.causes) or any(finding.kind == "flexible" for finding in found.findings)
+        bends = any(cause.last is None for cause in found.causes)
+        bends |= any(finding.kind == "flexible" for finding in found.findings)
         if calibrate or not bends:
             packed = found.last.packed  # over the noise as it was found; factors are taken as 1
             if corrected:

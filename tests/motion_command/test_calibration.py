@@ -11,6 +11,7 @@ from kinematics.joint.expected import stated_errors
 from kinematics.joint.pack import Readings, pack
 from kinematics.joint.tangents import Geometry
 from kinematics.place.errors import estimate_errors, parameters_of, with_errors
+from tests.motion_command.ears import error_in_sd, measured, rewrite, simulated
 from tests.motion_command.test_shared_errors import fitted, measurement
 
 LASER_SD = {"laser_gain": 0.01, "laser_phase": np.deg2rad(0.5), "laser_delay": 1e-6}
@@ -77,6 +78,19 @@ def test_the_calibrated_motion_fits_better_and_estimates_are_not_beyond_their_pr
     assert after < n_dof + 4.0 * np.sqrt(2.0 * n_dof) < before
     assert found.p_value > 1e-3
     assert [notice.code for notice in found.notices()] == []
+
+
+def test_values_far_off_do_not_move_the_geometry(tmp_path):
+    truth = simulated(tmp_path, seed=74, in_footplate=True)
+
+    def spoil(table):
+        far = np.random.default_rng(3).random(len(table)) < 0.01
+        table.loc[far, ["re_m_s", "im_m_s"]] *= 3.0
+
+    rewrite(tmp_path / "ldv.csv", spoil)
+    result = measured(tmp_path, calibrate=True, robust="huber")
+    assert {notice.code for notice in result.notices} == {"outliers"}
+    assert np.sqrt(np.mean(error_in_sd(result, truth) ** 2)) < 1.3
 
 
 def test_errors_beyond_their_priors_are_reported():
