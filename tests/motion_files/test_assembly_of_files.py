@@ -146,6 +146,20 @@ def test_facts_fill_what_files_do_not_say():
     assert codes == {"amplitude_assumed", "length_unit_assumed"}
 
 
+def test_rms_is_applied_where_peak_is_not_stated():
+    rows = [row("1", unit="m/s peak"), row("2", unit="m/s")]
+    assert np.allclose(np.abs(one(*rows, facts=FileFacts(amplitude="rms")).value[:, 0]), [1.0, np.sqrt(2.0)])
+
+
+def test_a_line_at_0_hz_may_hold_anything():
+    """Displacement from velocity is infinite there."""
+    found = one(
+        replace(row(freq=np.array([0.0, *FREQ_HZ])), value=np.array([np.inf, 1, 1, 1, 1], dtype=complex))
+    )
+    assert np.array_equal(found.freq_hz, FREQ_HZ)
+    assert any("0 Hz" in notice.text for notice in found.notices)
+
+
 def test_positions_of_two_sources_must_agree(tmp_path):
     (tmp_path / "points.csv").write_text("body,point,x_mm,y_mm,z_mm\nstapes,1,0,0.5,0\n", encoding="utf-8")
     with pytest.raises(StapeskitError) as caught:
@@ -183,8 +197,9 @@ def test_what_does_not_belong_together_is_refused(name):
 
 
 IMPOSSIBLE = {
-    "the frequencies": {"freq_hz": -FREQ_HZ},
+    "the frequencies": {"freq_hz": FREQ_HZ[0] * (1.0 + 1e-7 * np.arange(4))},
     "the unit of the values": {"unit": "dB"},
+    "the unit of the frequencies": {"freq_unit": "rad/s"},
     "the values": {"value": np.full(4, np.inf, dtype=complex)},
     "the coherence": {"coherence": 1.5},
     "the number of averages": {"n_avg": 0.0},
