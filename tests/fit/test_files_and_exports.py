@@ -51,18 +51,6 @@ def test_command_writes_json_page_mat_and_csv(folder, monkeypatch):
     assert (folder / "kd.json").read_text() == "mine"
 
 
-def test_command_finds_nothing_and_says_so(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-    with pytest.raises(StapeskitError) as error:
-        work(["dof.csv"])
-    assert error.value.faults[0].thing == "--mass"
-    with pytest.raises(StapeskitError):
-        work(["dof.csv", "--plan", "M.csv"])
-    with pytest.raises(StapeskitError) as error:
-        work(["dof.csv", "--mass", "M.csv", "--dampin", "viscous"])
-    assert "--damping" in error.value.faults[0].next_step
-
-
 def test_matlab_and_csv_hold_numbers(result, tmp_path):
     (tmp_path / "kd.mat").write_bytes(matlab(result))
     content = loadmat(tmp_path / "kd.mat")

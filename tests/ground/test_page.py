@@ -186,16 +186,6 @@ def test_a_figure_is_text_and_lines_and_many_points_are_an_image():
     assert len(svg) < 400_000
 
 
-def test_thinned_curves_keep_peaks_and_troughs():
-    size = np.random.default_rng(1).standard_normal(20_000)
-    size[7] = np.nan
-    kept = figures.decimate_lines(size, 300)
-    assert len(kept) <= 300
-    assert np.all(np.diff(kept) > 0)
-    assert {0, int(np.nanargmax(size)), int(np.nanargmin(size)), 19_999} <= set(kept.tolist())
-    assert np.array_equal(figures.decimate_lines(size[:50], 300), np.arange(50))
-
-
 @pytest.mark.parametrize("module", [colours, figures, page])
 def test_examples(module):
     found = doctest.testmod(module)

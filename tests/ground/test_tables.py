@@ -80,17 +80,6 @@ def test_every_dialect_is_the_same_table(read, dialect):
     assert table.texts["body"].codes.tolist() == [0, 1]
 
 
-@pytest.mark.parametrize("dialect", ["plain", "comments and blank lines", "a line of Excel", "returns"])
-def test_rows_know_their_lines(read, dialect):
-    content = DIALECTS[dialect]
-    table = read(content)
-    text = content.splitlines()
-    assert all(
-        text[line - 1].startswith(body) for line, body in zip(table.lines, ("stapes", "base"), strict=True)
-    )
-    assert str(table.where(1)) == f"t.csv, line {table.lines[1]}"
-
-
 def test_missing_cells_are_nan_and_texts_are_stored_once(read):
     rows = [f"b,1,{word}" for word in MISSING] + [",1,2", "a,1,inf", "b,1,-Infinity", "nan,1,2"]
     table = read("\n".join([HEAD, *rows]))
