@@ -16,7 +16,7 @@ from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_file import mass_json
 from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.records.mass_record import MassRecord
-from stapeskit.spatial import dof_indices
+from tests.scenes.chain import motion_errors
 
 EAR = Ear()
 
@@ -73,16 +73,7 @@ def measured(folder: Path, mass: MassRecord | None = None, **given):
 
 def error_in_sd(result, truth: Truth) -> np.ndarray:
     """Return errors of real and imaginary parts over their sd of all sources, (2, run, body, freq, dof)."""
-    motion = result.motion
-    true = np.stack([truth.motion_m[body] for body in motion.bodies], axis=1)[..., dof_indices(motion.dof)]
-    variance = motion.standard_deviation**2
-    parts = np.zeros((2, *variance.shape))
-    if motion.shared is not None:
-        slopes = np.asarray(motion.shared.derivatives)
-        both = np.stack([slopes.real, slopes.imag])
-        parts = np.einsum("kprbfd,pq,kqrbfd->krbfd", both, motion.shared.covariance, both, optimize=True)
-    error = motion.q - true
-    return np.stack([error.real, error.imag]) / np.sqrt(variance + parts)
+    return motion_errors(result.motion, truth)
 
 
 def rewrite(path: Path, change) -> None:

@@ -184,10 +184,11 @@ def fit_distance(outcome: Outcome) -> tuple[float, float]:
             ("damping_si", outcome.truth.damping_si),
         )
     ]
-    return _distance(np.concatenate(difference), np.array(outcome.kd["covariance_si"], dtype=float))
+    return distance_of(np.concatenate(difference), np.array(outcome.kd["covariance_si"], dtype=float))
 
 
-def _distance(difference: Array, covariance: Array) -> tuple[float, float]:
+def distance_of(difference: Array, covariance: Array) -> tuple[float, float]:
+    """Return a squared Mahalanobis distance, and its limit."""
     size = np.sqrt(np.diag(covariance))
     roots, axes = np.linalg.eigh(covariance / np.outer(size, size))
     along = axes.T @ (difference / size)
@@ -197,9 +198,12 @@ def _distance(difference: Array, covariance: Array) -> tuple[float, float]:
 
 def worst_motion(outcome: Outcome) -> float:
     """Return the largest difference of a motion from the truth, in standard deviations of all sources."""
-    motion, truth = outcome.motion, outcome.truth
-    assert motion is not None
-    assert truth.recording is not None
+    assert outcome.motion is not None
+    return float(np.nanmax(np.abs(motion_errors(outcome.motion, outcome.truth))))
+
+
+def motion_errors(motion: RigidMotion, truth: Truth) -> Array:
+    """Return errors of real and imaginary parts over their sd of all sources, (2, run, body, freq, dof)."""
     true = np.stack([truth.motion_m[body] for body in motion.bodies], axis=1)[..., dof_indices(motion.dof)]
     if motion.reference:
         body, dof = motion.reference.split(":")
@@ -210,13 +214,12 @@ def worst_motion(outcome: Outcome) -> float:
         variance = diagonal.reshape(runs, lines, len(motion.bodies), -1).swapaxes(1, 2)
     else:
         variance = np.real(np.diagonal(motion.covariance, axis1=-2, axis2=-1)) / 2.0
+    shared = np.zeros((2, *variance.shape))
     if motion.shared is not None:
         slopes = np.asarray(motion.shared.derivatives)
         parts = np.stack([slopes.real, slopes.imag])
-        shared = np.einsum("kprbfd,pq,kqrbfd->krbfd", parts, motion.shared.covariance, parts)
-    else:
-        shared = np.zeros((2, *variance.shape))
+        spread = motion.shared.covariance
+        shared = np.einsum("kprbfd,pq,kqrbfd->krbfd", parts, spread, parts, optimize=True)
     error = motion.q - true
     floor = 1e-9 * np.sqrt(np.nanmean(np.abs(true) ** 2, axis=2, keepdims=True))
-    parts = np.stack([error.real, error.imag]) / np.sqrt(variance + shared + floor**2)
-    return float(np.nanmax(np.abs(parts)))
+    return np.asarray(np.stack([error.real, error.imag]) / np.sqrt(variance + shared + floor**2))

@@ -6,10 +6,8 @@ import json
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
-from scipy.special import chdtri
 
 from pipeline.report import study_page, summary_rows, write_figures
 from pipeline.run import FILES, StudyResult, check_study, run_study, scan2kd
@@ -18,19 +16,13 @@ from simulate import Truth
 from stapeskit.faults import StapeskitError
 from stapeskit.outputs import MANIFEST
 from stapeskit.warnings import Notice
+from tests.scenes.chain import Outcome, fit_distance
 
 
 def test_k_and_d_lie_within_their_uncertainty(finished: StudyResult, small: tuple[Path, Truth]) -> None:
-    truth, kd = small[1], json.loads((finished.out / "kd.json").read_text())
-    upper = np.triu_indices(3)
-    difference = np.concatenate([
-        (np.array(kd["stiffness_si"]) - truth.stiffness_si)[upper],
-        (np.array(kd["damping_si"]) - truth.damping_si)[upper],
-    ])  # fmt: skip
-    covariance = np.array(kd["covariance_si"])
-    size = np.sqrt(np.diag(covariance))
-    distance = (difference / size) @ np.linalg.solve(covariance / np.outer(size, size), difference / size)
-    assert distance < chdtri(12, 1e-4)
+    kd = json.loads((finished.out / "kd.json").read_text())
+    distance, limit = fit_distance(Outcome(small[1], kd=kd))
+    assert distance < limit
 
 
 def test_every_file_that_is_promised_and_one_record(finished: StudyResult) -> None:
