@@ -169,18 +169,6 @@ def test_scan2kd_repeats_the_numbers_of_a_corrected_study_to_the_last_digit(sess
     assert shown["html"].count("<b>") == 2 * 9
 
 
-def test_marks_at_the_sides_that_the_ear_names_give_its_own_frame(session, measured):
-    truth = measured[1]
-    pose, up = truth.scan_from_footplate, 1.0 if truth.ear.side == "left" else -1.0
-    sides = {"anterior": [1.2, 0.0, 0.0], "posterior": [-1.2, 0.0, 0.0], "superior": [0.0, 0.0, 0.8 * up]}
-    for name, place in sides.items():
-        session.marks.put(name, pose.points(np.array([place]))[0])
-    run(session, "found")
-    frame = np.array(session.mass["found"]["frames"]["scan_from_footplate"])[:3, :3]
-    assert np.all(np.diag(frame.T @ pose.rotation) > np.cos(np.radians(4.0)))
-    assert not any(one["code"] == "anterior_not_given" for one in session.mass["found"]["warnings"])
-
-
 def test_points_lie_in_the_scan_where_they_were_measured(session):
     run(session, "points")
     places = session.content("points")["points"]

@@ -187,30 +187,3 @@ def test_lasers_that_agree_as_stated_raise_no_alarm(tmp_path):
         chances.append(measured(folder).errors.shown.p_value)
     assert min(chances) > 1e-3
     assert max(chances) > 0.3
-
-
-def test_calibration_finds_a_turn_of_all_beams(tmp_path):
-    simulated(tmp_path, in_footplate=True, seed=9, noise=0.003, position_sd_mm=0.005)
-    turn = np.deg2rad(1.2)
-    about_y = np.array(
-        [[np.cos(turn), 0.0, np.sin(turn)], [0.0, 1.0, 0.0], [-np.sin(turn), 0.0, np.cos(turn)]]
-    )
-
-    def turned(table):
-        table[["dir_x", "dir_y", "dir_z"]] = table[["dir_x", "dir_y", "dir_z"]].to_numpy() @ about_y
-
-    rewrite(tmp_path / "ldv.csv", turned)
-    result = measured(tmp_path, calibrate=True)
-    found = result.errors
-    values = dict(zip(found.names, found.values, strict=True))
-    sd = dict(zip(found.names, found.sd, strict=True))
-    name = "axes.y"
-    # lasers may be turned as well: their common turn is part of it
-    assert values[name] > 0.0
-    assert sd[name] < np.deg2rad(1.0)
-    before = measured(tmp_path)
-    chi2, old = (np.nansum(one.motion.chi2) / np.sum(one.motion.n_dof) for one in (result, before))
-    assert chi2 < old
-    assert all(name.startswith(("calibration.", "registration.")) for name in result.motion.shared.names)
-    assert any(name.startswith("calibration.position") for name in result.motion.shared.names)
-    assert result.motion.shared.maps is not None

@@ -55,32 +55,6 @@ def test_the_sample_scan_and_truth_are_those_that_stand(sample):
             assert np.abs(np.array(now[key]) - value).max() <= 1e-12 * scale, key
 
 
-def test_study_names_what_lies_in_its_folder(tmp_path):
-    scan = Scan(voxel_um=80.0, samples=1, format="slices", mirror="z", seed=2)
-    truth = simulate.simulate_study(
-        Ear(plate=False),
-        scan,
-        replace(QUICK, mirror="y"),
-        tmp_path,
-        about={"subject": "P1"},
-        fit={"damping": "viscous"},
-    )
-    study = tomllib.loads(truth.study.read_text())
-    assert study["scan"]["file"] == "slices"
-    assert study["scan"]["spacing_mm"] == pytest.approx([0.08] * 3)
-    assert (study["scan"]["mirror"], study["ldv"]["mirror"]) == ("z", "y")
-    assert study["study"]["subject"] == "P1"
-    assert study["fit"]["damping"] == "viscous"
-    for key in ("file", "points", "fiducials"):
-        assert (tmp_path / study["ldv"][key]).exists()
-    stated, sd = (float(part) for part in study["scan"]["density_kg_m3"].split("+-"))
-    assert abs(stated - truth.ear.density_kg_m3) < 4.0 * sd
-    marks = pd.read_csv(tmp_path / "fiducials.csv")
-    assert set(marks["frame"]) == {"scan"}
-    written = json.loads((tmp_path / "truth.json").read_text())
-    assert written["inertial_parameters_si"] == pytest.approx(truth.parameters_si.tolist(), rel=1e-15)
-
-
 def test_frames_hang_together():
     truth = simulate.simulate_truth(Ear(), Scan(seed=7))
     both = truth.scan_from_plate @ truth.plate_from_footplate

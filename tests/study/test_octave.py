@@ -33,13 +33,8 @@ def test_octave_reads_every_mat_file(finished: StudyResult, tmp_path: Path) -> N
     EXPORTS["mat"][1](finished.measured_now, tmp_path / "mass.mat")
     finished.moved.write_into(tmp_path, report=False, export=("mat",))
     (tmp_path / "show.m").write_text(f"1;\n{SCRIPT}")
-    said = subprocess.run(
-        ["octave-cli", "--no-gui", "--quiet", "show.m"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout
+    words = ["octave-cli", "--no-gui", "--quiet", "show.m"]
+    said = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
     read = {}
     for line in said.splitlines():
         name, *numbers = line.split()
