@@ -33,7 +33,7 @@ from ct_inertia.surface.surface import Surface
 from stapeskit.arrays import Array
 from stapeskit.command import no_progress
 from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
-from stapeskit.warnings import Notice, unique
+from stapeskit.warnings import Notice, once
 
 if TYPE_CHECKING:
     from ct_inertia.frames.fiducials import PlateFiducials
@@ -154,7 +154,7 @@ def _measured(options: MassOptions, progress: Progress, inputs: Inputs) -> MassR
         scan=work.scan,
         body=work.measured,
         inputs=records,
-        notices=unique(work.notices),
+        notices=once(work.notices),
     )
 
 

@@ -27,7 +27,7 @@ from stapeskit.records.mass_file import HasMass, MassInput, read_mass
 from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.motion_file import RigidMotion, read_motion
-from stapeskit.warnings import Notice, unique
+from stapeskit.warnings import Notice, once
 
 if TYPE_CHECKING:
     from stapeskit.command import Progress
@@ -245,7 +245,7 @@ def fit_of(
             files=() if source.file is None else (source.file,),
             confirmed=tuple(confirmed),
         )
-        fit = replace(fit, notices=unique([*fit.notices, *result_notices(fit)]))
+        fit = replace(fit, notices=once([*fit.notices, *result_notices(fit)]))
     except np.linalg.LinAlgError:
         wanted = "of sizes from which stiffness and damping follow"
         got = "equations without a finite solution"

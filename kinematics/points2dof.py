@@ -37,7 +37,7 @@ from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.provenance import frames_hash, record
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.rigid_motion import RigidMotion
-from stapeskit.warnings import Notice, unique
+from stapeskit.warnings import Notice, once
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ def measure_motion(
         notices += motion.notices
     before = () if mass is None else mass.notices
     before = tuple(replace(notice, text=f"mass: {notice.text}") for notice in before)
-    every = unique([*before, *measurement.notices, *notices])
+    every = once([*before, *measurement.notices, *notices])
     motion = replace(motion, notices=every, provenance=_provenance(options, read, mass, command, taken))
     bodies = fitted.placed.bodies
     return MotionResult(
@@ -167,7 +167,7 @@ def _fit(placed: Measurement, options: MotionOptions) -> _Fitted:
         found = fit_with_noise(placed, run, placed.bodies[number], beams[number], options.robust)
         fits[run, number] = found[0]
         notices += found[1]
-    return _Fitted(placed, fits, unique(notices))
+    return _Fitted(placed, fits, once(notices))
 
 
 def _search(fitted: _Fitted, options: MotionOptions) -> dict[int, Diagnosis]:

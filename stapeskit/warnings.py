@@ -72,13 +72,8 @@ def is_among(code: str, names: Iterable[str]) -> bool:
     return any(code == name or code.startswith(f"{name}_") for name in names)
 
 
-def unique(notices: Iterable[Notice]) -> tuple[Notice, ...]:
-    """Drop repeated notices, keeping the first of each and their order."""
-    return tuple(dict.fromkeys(notices))
-
-
 def once(notices: Iterable[Notice]) -> tuple[Notice, ...]:
-    """Drop warnings that were passed on: a later stage puts that of their origin before the text."""
+    """Keep the first of each; a warning that was passed on has the stage of its origin before its text."""
     kept: dict[tuple[str, str], Notice] = {}
     for notice in notices:
         text = notice.text.removeprefix("motion: ").removeprefix("mass: ")

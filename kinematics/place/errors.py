@@ -113,24 +113,16 @@ class ErrorEstimate:
     def notices(self) -> list[Notice]:
         """Return a warning of errors that go beyond what was stated."""
         shown = self.shown
-        if not shown.errors:
+        if not shown.errors or shown.p_value >= _UNLIKELY:
             return []
         name, value, sd, stated, unit = shown.rows()[int(np.argmax(np.abs(shown.values) / shown.prior_sd))]
-        largest = f"{name}, by {value:+.3g} +- {sd:.2g} {unit} (stated sd {stated:.2g} {unit})"
-        if shown.p_value >= _UNLIKELY:
-            return []
-        if self.calibrated:
-            text = (
-                "calibration: the data pull the geometry beyond what the stated errors allow (p "
-                f"{shown.p_value:.1g}), most the {largest}. Check sd_mm, the directions of the beams, and "
-                "the channels with a verdict."
-            )
-        else:
-            text = (
-                f"the lasers disagree by more than stated: most the {largest}. The motion is corrected by "
-                "what the beams say together; calibrate the lasers, or state --gain-sd, --phase-sd, "
-                "--delay-sd."
-            )
+        what = "the calibration moves the geometry" if self.calibrated else "the lasers disagree"
+        text = (
+            f"{what} by more than stated (p {shown.p_value:.1g}): most the {name}, by {value:+.3g} +- "
+            f"{sd:.2g} {unit} (stated sd {stated:.2g} {unit}). The motion is corrected for it. Check beams, "
+            "positions and channels with a verdict, or state larger errors: --gain-sd, --phase-sd, "
+            "--delay-sd, sd_mm."
+        )
         return [Notice("stated_errors_exceeded", text)]
 
 

@@ -18,7 +18,7 @@ from kinematics.readers.recording import QUANTITY_OF_ORDER, Recording, Row
 from kinematics.readers.settle import on_one_grid, twice_faults
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, collect_faults, list_some, raise_all
-from stapeskit.warnings import Notice, unique
+from stapeskit.warnings import Notice, once
 
 Take = tuple[str, str]
 """Run and repeat."""
@@ -135,7 +135,7 @@ def assemble(
         freq_hz,
         tuple(bodies),
         QUANTITY_OF_ORDER[order],
-        notices=unique(notices),
+        notices=once(notices),
         repeats=repeats if several else (),
         line_spread=max(one.line_spread for one in recordings),
         statements=tuple(f"{one.file}: {one.statement}" for one in recordings if one.statement),

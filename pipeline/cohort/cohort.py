@@ -20,7 +20,7 @@ from pipeline.cohort.predict import Prediction, Predictor
 from stapeskit.faults import StapeskitError, raise_all
 from stapeskit.records.mass_file import read_mass
 from stapeskit.results import Result
-from stapeskit.warnings import Notice, unique
+from stapeskit.warnings import Notice, once
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -278,7 +278,7 @@ def cohort_of(
     table = log_table(used)
     fitted = fit_laws(table, laws)
     notices += [*table.notices, *unresolved(fitted)]
-    return Cohort(tuple(ears), excluded, table, fitted, components_of(table), unique(notices))
+    return Cohort(tuple(ears), excluded, table, fitted, components_of(table), once(notices))
 
 
 def _mass_content(source: Any) -> Mapping[str, Any]:
