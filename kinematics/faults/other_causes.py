@@ -22,7 +22,7 @@ from stapeskit.arrays import Array
 
 _MOST_FAR = 0.1  # share of values up to which they are single ones
 _BY_CHANCE, _CHANCE = 3, 1e-3  # residuals of few channels are not normal: so many are far off by chance
-_MOST_LOUD, _OF_LOUD_LINE = 0.2, 2  # share of lines up to which they are few; values far off of each
+_MOST_LOUD, _IN_LINES = 0.2, 0.8  # share of lines up to which they are few; share of values far off in them
 _LEAST_VALUES = 50  # fewer say too little of a distribution
 _MAINS_HZ, _NEAR_MAINS_HZ = (50.0, 60.0), 0.5
 _LEAST_GAIN = 10.0  # log likelihood that a cause must gain: odds of 20 000
@@ -73,10 +73,10 @@ def _far_values(now: Round) -> Iterator[Cause]:
     count = int(np.count_nonzero(far))
     if not _BY_CHANCE + _CHANCE * known.size < count < _MOST_FAR * known.size:
         return
-    loud = np.asarray(far.any(axis=0))
-    share = min(_MOST_LOUD * len(loud), count / _OF_LOUD_LINE)
-    some = 1 < np.count_nonzero(loud) < share
-    value = np.where(loud if some else far, np.nan, now.readings.value)
+    loud = np.count_nonzero(far, axis=0) > 1
+    some = 1 < np.count_nonzero(loud) < _MOST_LOUD * len(loud)
+    some &= np.count_nonzero(far[:, loud]) > _IN_LINES * count
+    value = np.where(far | (loud & some), np.nan, now.readings.value)
     last = null_fit(replace(now.readings, value=value), now.layout)
     if not last.clean():
         return
