@@ -2,11 +2,13 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from fitting import entries
+from fitting.dof2kd import dof2kd
 from fitting.montecarlo import scatter
 from fitting.plan import Plan, expect, stated_mass
 from fitting.planned_motion import planned_motion
@@ -207,3 +209,10 @@ def test_principal_axes_are_drawn_with_and_without_an_outline(ear):
     for shape in (None, outline):
         (axes,) = footplate_figure(replace(result, outline_mm=shape)).axes
         assert len([line for line in axes.lines if len(line.get_xdata()) == 2]) == 2
+
+
+def test_a_result_of_points2dof_brings_its_mass():
+    motion, _ = paper_motion(0.02, 1)
+    brought = dof2kd(SimpleNamespace(motion=motion, mass=M), mass=None, unknowns="none")
+    given = dof2kd(motion, mass=M, unknowns="none")
+    assert np.array_equal(brought.stiffness, given.stiffness)

@@ -115,7 +115,7 @@ def test_json_holds_verdicts_registration_and_warnings(ear, tmp_path):
     assert len(content["found_beside"]) == 3
 
 
-def test_result_prints_a_screen_and_makes_table_and_figure(ear):
+def test_result_prints_a_screen_and_makes_table_figure_and_files(ear, tmp_path):
     folder, _ = ear
     result = points2dof(folder / "ldv.csv")
     assert len(repr(result).splitlines()) < 30
@@ -124,6 +124,7 @@ def test_result_prints_a_screen_and_makes_table_and_figure(ear):
     assert len(frame) == 2 * 16
     assert len(result.plot().axes) == 12
     assert hasattr(result.plot(), "_repr_png_")  # a notebook shows it
+    assert [path.name for path in result.write(tmp_path, name="ear.csv")] == [f"ear{end}" for end in ENDINGS]
 
 
 def test_the_verdict_of_the_page_is_that_of_the_worst_warning():
@@ -288,3 +289,13 @@ def test_amplitudes_of_the_other_sign_of_time_are_told_before_k_and_d_are_believ
         codes = {notice.code for notice in fit.notices}
         assert ("phase_convention" in codes) is expected
         assert (fit.verdict.level == "do not use") is expected
+
+
+@pytest.mark.parametrize("sd_mm", [1e-4, 0.02, 1.0])
+def test_stated_positions_and_readings_without_noise_end_in_a_result(tmp_path, sd_mm):
+    truth = simulated(tmp_path, lines=20, in_footplate=True, exact=True, seed=31)
+    rewrite(tmp_path / "points.csv", lambda table: table.__setitem__("sd_mm", sd_mm))
+    result = measured(tmp_path)
+    found = result.motion.q[0, result.motion.body("stapes"), :, 1]
+    assert np.allclose(found, truth.motion_m["stapes"][0, :, 1], rtol=1e-9)
+    assert {one.verdict for one in result.channels} == {"ok"}

@@ -351,3 +351,13 @@ def test_ome_positions_give_the_origin_and_a_missing_slice_distance(tmp_path):
         scan = open_scan(path)
         assert scan.origin_mm == pytest.approx([1.5, -0.25, 0.5])
         assert scan.spacing_mm == pytest.approx(SPACING)
+
+
+def test_imagej_values_are_those_that_it_shows(tmp_path):
+    """Signed 16-bit pictures are stored 32768 higher, with the line back in the description."""
+    line = {"cf": 0, "c0": -32768.0, "c1": 1.0}
+    path = w.imagej(tmp_path / "a.tif", picture(), metadata=line)
+    assert np.array_equal(open_scan(path).read(), picture().astype(float) - 32768.0)
+    w.imagej(path, picture(), metadata={"cf": 3})
+    (text,) = [notice.text for notice in open_scan(path).notices if notice.code == "file_read"]
+    assert "by its function 3" in text

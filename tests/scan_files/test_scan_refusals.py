@@ -319,3 +319,13 @@ def test_the_number_that_differs_counts_the_slices(tmp_path, pattern):
     for k, image in enumerate(picture()):
         tifffile.imwrite(tmp_path / f"{pattern.format(k + 7)}.tif", image)
     assert np.array_equal(open_scan(tmp_path, SPACING).read(), picture())
+
+
+def test_a_packed_nifti_is_read_to_its_check_sum(tmp_path):
+    path = w.itk(tmp_path / "a.nii.gz", picture(shape=(50, 50, 50)))
+    content = bytearray(path.read_bytes())
+    content[-6] ^= 1  # of the check sum
+    path.write_bytes(content)
+    with pytest.raises(StapeskitError) as caught:
+        open_scan(path).read()
+    assert "a damaged or truncated one" in caught.value.faults[0].got
