@@ -15,7 +15,6 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 
@@ -23,13 +22,11 @@ from kinematics.readers.facts import FileFacts
 from kinematics.readers.recording import Recording, Row, unknown_vector
 from kinematics.readers.settle import ONE_EXCITATION
 from kinematics.readers.text import CUT, shown
+from kinematics.readers.uff_geometry import Dataset, nodes_of
 from kinematics.readers.units import HERTZ, MotionUnit, is_none, motion_unit, plain
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, collect_faults, list_some
 from stapeskit.warnings import Notice
-
-Dataset = Mapping[str, Any]
-"""A dataset as pyuff gives it, with its ``place`` in the file."""
 
 FRF, TRANSMISSIBILITY, COHERENCE, SPECTRUM = 4, 5, 6, 12
 KINDS = {
@@ -53,7 +50,6 @@ _OWN_FILES = (
     f"{ONE_EXCITATION}; the direction of every function stands in its record 6 (one that stands in its text "
     "alone is not read)"
 )
-_GLOBAL_STEP = "Export the geometry in global cartesian coordinates"
 
 
 def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
@@ -63,8 +59,8 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     ------
     StapeskitError
         There is no function of motion. What else is wrong is with the recording: a file that is cut short, a
-        function with fewer values than its header says, functions of several excitations, nodes in other
-        coordinate systems than the global one.
+        function with fewer values than its header says, functions of several excitations, nodes in coordinate
+        systems that are not described as right-handed and cartesian.
     """
     path, notices = Path(path), list[Notice]()
     sets, faults = _datasets(path)
@@ -79,13 +75,13 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
         raise StapeskitError.of("a universal file", want, listed or "none", path.name, step)
     factors = _factors(sets, path.name, faults)
     length = factors["m"] if factors else 1.0
-    nodes = _nodes(sets, {int(one["rsp_node"]) for one in usable}, path.name, faults, notices)
+    nodes = nodes_of(sets, {int(one["rsp_node"]) for one in usable}, path.name, faults, notices)
     coherences = [one for one in sets if one.get("func_type") == COHERENCE]
     rows: list[Row] = []
     for one in usable:
         with collect_faults(faults):
-            node = nodes.get(int(one["rsp_node"]), unknown_vector())
-            rows.append(_row(one, node / length, factors, coherences, path.name))
+            place, axes = nodes.get(int(one["rsp_node"]), (unknown_vector(), np.eye(3)))
+            rows.append(_row(one, place / length, axes, factors, coherences, path.name))
     notices += _notices(usable, listed, factors, path.name)
     faults += [*_excitation_faults(usable, path.name), *_direction_faults(usable, path.name, notices)]
     lengths = f"by dataset 164, {length:g} per metre" if factors else "as metres"
@@ -188,9 +184,14 @@ def _coherence(one: Dataset, others: Sequence[Dataset], where: Place) -> Array |
 
 
 def _row(
-    one: Dataset, position_m: Array, factors: Mapping[str, float], coherences: Sequence[Dataset], file: str
+    one: Dataset,
+    position_m: Array,
+    axes: Array,
+    factors: Mapping[str, float],
+    coherences: Sequence[Dataset],
+    file: str,
 ) -> Row:
-    """Return a function as a row, with its coherence; SI is the number over the factor."""
+    """Return a function along one of the axes of its node as a row; SI is the number over the factor."""
     label, response = _label(one, "ordinate"), one["func_type"] != SPECTRUM
     unit = motion_unit(label)
     if not label:
@@ -209,61 +210,11 @@ def _row(
         one["data"],
         unit or label,
         position_m=position_m,
-        direction=np.eye(3)[abs(code) - 1] * np.sign(code) if code else unknown_vector(),
+        direction=axes[abs(code) - 1] * np.sign(code) if code else unknown_vector(),
         coherence=_coherence(one, coherences, where) if response else None,
         freq_unit=_label(one, "abscissa") or "Hz",
         where=where,
     )
-
-
-def _nodes(
-    sets: Sequence[Dataset], used: set[int], file: str, faults: list[Fault], notices: list[Notice]
-) -> dict[int, Array]:
-    """Return positions (3,), in the file's unit, of the nodes that are used, in the global system.
-
-    Where a file describes no system, those of its nodes are taken for the global one, with a notice; systems
-    that turn, shift or bend are refused: programs differ in what a node in them means.
-    """
-    described = {0: True}
-    for one in sets:
-        described |= _global_systems(one) if one["type"] in (18, 2420) else {}
-    nodes, others = dict[int, Array](), set[int]()
-    for one in (one for one in sets if one["type"] in (15, 2411)):
-        columns = [np.atleast_1d(one[name]) for name in ("node_nums", "def_cs", "disp_cs", "x", "y", "z")]
-        for node, *systems, x, y, z in np.column_stack(columns).astype(float).tolist():
-            if int(node) not in used:
-                continue
-            others |= {int(label) for label in systems if not described.get(int(label), False)}
-            place = np.array([x, y, z])
-            known = nodes.setdefault(int(node), place)
-            if not np.allclose(known, place, rtol=1e-5, atol=1e-12):
-                thing, got = f"the position of node {node:.0f}", f"{known.tolist()} and {place.tolist()}"
-                where = Place(file, "dataset", (one["place"],))
-                faults.append(Fault(thing, "one", got, where, "Remove the wrong one"))
-    listed = ", ".join(map(str, sorted(others)))
-    if others and len(described) > 1:
-        thing, got = f"coordinate system {listed}", "one that turns, shifts or is not described"
-        faults.append(Fault(thing, "the global one", got, file, _GLOBAL_STEP))
-    elif others:
-        text = f"nodes refer to coordinate system {listed}, and the file describes none: it was taken for the"
-        notices.append(Notice("axes_assumed", f"{file}: {text} global one."))
-    return nodes
-
-
-def _global_systems(one: Dataset) -> dict[int, bool]:
-    """Return by number which coordinate systems of dataset 18 or 2420 are the global one."""
-    old = one["type"] == 18
-    names = ("cs_num", "cs_type") if old else ("CS_sys_labels", "CS_types")
-    labels, kinds = (np.atleast_1d(one[name]).astype(int).tolist() for name in names)
-    if old:  # the origin, a point on +x and one in the half plane of +x and +z
-        points = [np.reshape(one[name], (-1, 3)).astype(float) for name in ("ref_o", "x_point", "xz_point")]
-        origin, on_x, on_xz = points
-        along = (on_x[:, 0] > 0.0) & ~np.any(on_x[:, 1:], axis=1) & (on_xz[:, 2] > 0.0) & (on_xz[:, 1] == 0.0)
-        alike = along & ~np.any(origin, axis=1) & (np.atleast_1d(one["ref_cs_num"]).astype(int) == 0)
-    else:
-        frames = np.asarray(one["CS_matrices"], dtype=float).reshape(-1, 4, 3)
-        alike = np.all(np.isclose(frames, np.vstack([np.eye(3), np.zeros(3)]), atol=1e-9), axis=(1, 2))
-    return {label: kind == 0 and bool(same) for label, kind, same in zip(labels, kinds, alike, strict=True)}
 
 
 def _excitation_faults(functions: Sequence[Dataset], file: str) -> list[Fault]:

@@ -112,30 +112,48 @@ def test_a_response_is_per_unit_of_its_reference(tmp_path):
     assert recording.velocity is None
 
 
-SYSTEMS = {
-    "18": (system_18(7, (0, 0, 0), (2, 0, 0), (1, 0, 1)), True),
-    "18 turned": (system_18(7, (0, 0, 0), (0, 1, 0), (0, 1, 1)), False),
-    "18 shifted": (system_18(7, (1, 0, 0), (1, 1, 0), (1, 1, 1)), False),
-    "18 in another one": (system_18(7, (0, 0, 0), (1, 0, 0), (1, 0, 1), parent=3), False),
-    "18 curved": (system_18(7, (0, 0, 0), (1, 0, 0), (1, 0, 1), shape=1), False),
-    "2420": (system_2420(7, np.eye(3), (0, 0, 0)), True),
-    "2420 turned": (system_2420(7, [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], (0, 0, 0)), False),
-    "2420 shifted": (system_2420(7, np.eye(3), (1, 1, 1)), False),
+TURNED = [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]
+
+
+@pytest.mark.parametrize(
+    "described",
+    [
+        lambda origin: system_18(7, origin, np.add(origin, [0, 1, 0]), np.add(origin, [0, 1, 1])),
+        lambda origin: system_2420(7, TURNED, origin),
+    ],
+    ids=["18", "2420"],
+)
+def test_directions_and_places_are_those_of_the_systems_of_a_node(described, tmp_path):
+    """+x of the system points along +y, +z along +z: a third axis follows by the right hand."""
+    parts = [function(FREQ_HZ, VALUE, 1, code) for code in (1, 2, -3)]
+    for nodes in (nodes_15, nodes_2411):  # a place of dataset 2411 is in the global system
+        recording = read(tmp_path, units(), described((1, 1, 1)), nodes(PLACE, measured=7), *parts)
+        assert np.allclose(recording.directions, [[0, 1, 0], [-1, 0, 0], [0, 0, -1]])
+        assert np.allclose(recording.points_m[0], PLACE[1])
+    recording = read(tmp_path, units(), described((1, 0, 0)), nodes_15(PLACE, defined=7), *parts)
+    assert np.allclose(recording.directions, [[1, 0, 0], [0, 1, 0], [0, 0, -1]])
+    assert np.allclose(recording.points_m[0], np.array([1, 0, 0]) + PLACE[1] @ np.array(TURNED))
+
+
+BAD_SYSTEMS = {
+    "curved": system_18(7, (0, 0, 0), (1, 0, 0), (1, 0, 1), shape=1),
+    "in another one": system_18(7, (0, 0, 0), (1, 0, 0), (1, 0, 1), parent=3),
+    "without axes": system_18(7, (0, 0, 0), (0, 0, 0), (1, 0, 1)),
+    "left-handed": system_2420(7, np.diag([1, 1, -1]), (0, 0, 0)),
 }
 
 
-@pytest.mark.parametrize("where", ["defined", "measured"])
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_nodes_in_another_system_than_the_global_one_are_refused(name, where, tmp_path):
-    """Programs differ in whether nodes of 2411 are in the part's axes or in their export system."""
-    system, good = SYSTEMS[name]
-    parts = (units(), system, nodes_15(PLACE, **{where: 7}), function(FREQ_HZ, VALUE, 1, -2))
-    if good:
-        recording = read(tmp_path, *parts)
-        assert np.array_equal(recording.directions, [[0, -1, 0]])
-        assert np.allclose(recording.points_m[0], PLACE[1])
-    else:
-        assert [fault.thing for fault in faults(tmp_path, *parts)] == ["coordinate system 7"]
+@pytest.mark.parametrize("name", BAD_SYSTEMS)
+def test_nodes_in_a_system_that_is_not_cartesian_are_refused(name, tmp_path):
+    parts = (units(), BAD_SYSTEMS[name], nodes_15(PLACE, measured=7), function(FREQ_HZ, VALUE))
+    assert [fault.thing for fault in faults(tmp_path, *parts)] == ["coordinate system 7"]
+
+
+def test_nodes_of_2411_in_a_system_that_turns_are_refused(tmp_path):
+    """Programs differ in whether they are in the part's axes or in their export system."""
+    nodes = nodes_2411(PLACE).replace(f"{1:10d}{0:10d}".encode(), f"{1:10d}{7:10d}".encode())
+    parts = (units(), system_2420(7, TURNED, [1, 1, 1]), nodes, function(FREQ_HZ, VALUE))
+    assert [fault.thing for fault in faults(tmp_path, *parts)] == ["the nodes of dataset 2411 in system 7"]
 
 
 def test_a_system_that_no_dataset_describes_is_the_global_one_with_a_warning(tmp_path):
