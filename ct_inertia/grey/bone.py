@@ -74,7 +74,7 @@ def bone_level(fit: SceneFit, excess: Grey) -> BoneLevel:
     deep = own & (share > np.float32(_DEEP))
     if np.count_nonzero(deep) > _LEAST_DEEP:
         values = excess[deep] / share[deep]
-        mean, scatter = mean_by_cells(values, np.argwhere(deep), _CELL_VOXELS)
+        mean, scatter = mean_by_cells(values, deep, _CELL_VOXELS)
         by_interior = float(np.hypot(scatter, _BLUR_LEFT * (1.0 - float(share[deep].mean()))))
         if by_interior < by_fit:
             return BoneLevel(mean * fitted, by_interior * fitted, float(values.std()) * fitted, "interior")

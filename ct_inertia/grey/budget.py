@@ -125,7 +125,7 @@ def plate_errors(parts: StapesParts) -> Iterator[Grey]:
     yield parts.where_own(height)
     deep = fit.start.near & (fit.shares["plate"] > np.float32(_DEEP))
     if np.count_nonzero(deep) > _LEAST_DEEP:
-        error = mean_by_cells(fit.residual[deep], np.argwhere(deep), _CELL_VOXELS)[1]
+        error = mean_by_cells(fit.residual[deep], deep, _CELL_VOXELS)[1]
         yield parts.where_own(fit.shares["plate"] * np.float32(error * unit))
 
 

@@ -23,25 +23,24 @@ def robust_mean(values: Grey) -> tuple[float, float]:
     return (float(kept.mean()), float(kept.std())) if kept.size else (middle, spread)
 
 
-def cell_numbers(index: NDArray[np.intp], edge: int) -> NDArray[np.intp]:
-    """Return the number (n,) of the cube of so many voxels that holds each index (n, 3)."""
-    cells = index // edge
-    size = cells.max(axis=0) + 1
-    return np.asarray((cells[:, 0] * size[1] + cells[:, 1]) * size[2] + cells[:, 2])
+def cell_numbers(where: Mask, edge: int) -> NDArray[np.int32]:
+    """Return the number (n,) of the cube of so many voxels that holds each voxel of a mask [z, y, x]."""
+    z, y, x = (np.arange(n, dtype=np.int32) // edge for n in where.shape)
+    return ((z[:, None, None] * (y[-1] + 1) + y[:, None]) * (x[-1] + 1) + x)[where]
 
 
-def by_cells(values: NDArray[np.floating], index: NDArray[np.intp], edge: int) -> tuple[Array, Array]:
-    """Return number and sum of the values (n,) at indices (n, 3) in each cube of so many voxels, (cells,)."""
-    key = cell_numbers(index, edge)
+def by_cells(values: NDArray[np.floating], where: Mask, edge: int) -> tuple[Array, Array]:
+    """Return number and sum of the values (n,) of a mask's voxels in each cube of so many, (cells,)."""
+    key = cell_numbers(where, edge)
     return np.bincount(key).astype(float), np.bincount(key, values).astype(float)
 
 
-def mean_by_cells(values: NDArray[np.floating], index: NDArray[np.intp], edge: int) -> tuple[float, float]:
-    """Return the mean of values (n,) at indices (n, 3), and its standard error by the scatter of cells.
+def mean_by_cells(values: NDArray[np.floating], where: Mask, edge: int) -> tuple[float, float]:
+    """Return the mean of the values (n,) of a mask's voxels, and its standard error by the scatter of cells.
 
     Cells are cubes of so many voxels: noise that neighbours share and unevenness both count.
     """
-    weight, total = by_cells(values, index, edge)
+    weight, total = by_cells(values, where, edge)
     used = weight >= 4
     if np.count_nonzero(used) < 4:
         return float(np.mean(values)), float(np.std(values))

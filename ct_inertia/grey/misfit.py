@@ -87,10 +87,10 @@ def misfits(fit: SceneFit, residual: Grey, voxel_mm3: float, moments: Moments) -
         count = int(np.count_nonzero(where))
         if count < _LEAST_VOXELS:
             continue
-        values, index = residual[where], np.argwhere(where)
-        mean, error = mean_by_cells(values, index, _CELL_VOXELS)
+        values = residual[where]
+        mean, error = mean_by_cells(values, where, _CELL_VOXELS)
         error = max(error, noise * float(np.sqrt(fit.start.correlation / count)), 1e-9)
-        size, total = by_cells(values, index, _CELL_VOXELS)
+        size, total = by_cells(values, where, _CELL_VOXELS)
         full = size >= _LEAST_CELL
         means = total[full] / size[full]
         expected = noise * np.sqrt(fit.start.correlation / size[full])
@@ -127,8 +127,8 @@ def gain_over_body(fit: SceneFit, residual: Grey, contrast: float) -> Grey | Non
         return None
     spacing = fit.start.spacing
     places = [along * edge for along, edge in zip(index.T, spacing, strict=True)]
-    size, total = by_cells(residual[deep], index, _CELL_VOXELS)
-    centres = np.stack([by_cells(place, index, _CELL_VOXELS)[1] for place in places])
+    size, total = by_cells(residual[deep], deep, _CELL_VOXELS)
+    centres = np.stack([by_cells(place, deep, _CELL_VOXELS)[1] for place in places])
     full = size >= _LEAST_CELL
     size, means, centres = size[full], total[full] / size[full], centres[:, full] / size[full]
     if len(size) < 3 * _TERMS:

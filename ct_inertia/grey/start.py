@@ -117,7 +117,7 @@ def start(labelled: Labelled, plate_faces: Sequence[PlaneFace] = ()) -> Start:
     air, noise, air_sd = labelled.air, labelled.noise, labelled.noise
     if np.count_nonzero(far) >= _LEAST_AIR:
         air, noise = robust_mean(grey[far])
-        air_sd = mean_by_cells(grey[far], np.argwhere(far), 16)[1]
+        air_sd = mean_by_cells(grey[far], far, 16)[1]
     beside = {name: mask for name, mask in masks.items() if np.any(near & (distances[name] < reach))}
     face = None
     if "plate" in beside:
@@ -157,10 +157,9 @@ def _air_alone(grey: Grey, far: Mask, air: float, noise: float) -> Mask:
 
     The scatter is that of the darker half of the cells near the first guess of air.
     """
-    index = np.argwhere(far)
-    if len(index) < _LEAST_AIR:
+    if np.count_nonzero(far) < _LEAST_AIR:
         return far
-    key = cell_numbers(index, _CELL_VOXELS)
+    key = cell_numbers(far, _CELL_VOXELS)
     count, total = np.bincount(key), np.bincount(key, grey[far])
     mean, full = total / np.maximum(count, 1), count >= _LEAST_CELL
     usual = full & (np.abs(mean - air) < 3.0 * noise)
@@ -172,7 +171,7 @@ def _air_alone(grey: Grey, far: Mask, air: float, noise: float) -> Mask:
     if np.count_nonzero(bright) < 3:
         return far
     kept = np.zeros_like(far)
-    kept[tuple(index[~bright[key]].T)] = True
+    kept[far] = ~bright[key]
     return kept
 
 

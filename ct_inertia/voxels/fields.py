@@ -108,11 +108,11 @@ def share_above(field: Grey, where: NDArray[np.bool_]) -> Grey:
     at the distance d is nearly d / h + 1/2 whatever the direction, with the exact mean and variance. The
     slope along each axis is the steeper one of its two sides, so that ridges thinner than a voxel stay thin.
     """
-    share = (field > 0.0).astype(np.float32)
+    share = ((field > 0.0) & where).astype(np.float32)
     inner = np.zeros(field.shape, dtype=bool)
-    inner[1:-1, 1:-1, 1:-1] = (np.abs(field[1:-1, 1:-1, 1:-1]) < 1.0) & where[1:-1, 1:-1, 1:-1]
-    place = np.flatnonzero(inner)
-    flat = field.ravel()
+    inner[1:-1, 1:-1, 1:-1] = where[1:-1, 1:-1, 1:-1]
+    place, flat = np.flatnonzero(inner), field.ravel()
+    place = place[np.abs(flat[place]) < 1.0]
     middle = flat[place]
     square = np.full(place.size, np.float32(_STEEP**2))
     for stride in (field.shape[1] * field.shape[2], field.shape[2], 1):
@@ -120,7 +120,6 @@ def share_above(field: Grey, where: NDArray[np.bool_]) -> Grey:
             np.maximum(np.abs(flat[place + stride] - middle), np.abs(flat[place - stride] - middle)) ** 2
         )
     share.ravel()[place] = np.clip(middle / np.sqrt(square) + np.float32(0.5), 0.0, 1.0)
-    share *= where
     return share
 
 

@@ -78,9 +78,9 @@ def test_correlation_of_smoothed_noise():
 
 def test_standard_error_by_cells_sees_unevenness():
     rng = np.random.default_rng(4)
-    index = np.argwhere(np.ones((40, 40, 40), dtype=bool))
-    white = rng.standard_normal(len(index))
-    mean, error = mean_by_cells(white, index, 8)
-    assert error == pytest.approx(1.0 / np.sqrt(len(index)), rel=0.3)
+    where = np.ones((40, 40, 40), dtype=bool)
+    white = rng.standard_normal(where.size)
+    mean, error = mean_by_cells(white, where, 8)
+    assert error == pytest.approx(1.0 / np.sqrt(where.size), rel=0.3)
     assert abs(mean) < 5.0 * error
-    assert mean_by_cells(white + 0.02 * index[:, 0], index, 8)[1] > 4.0 * error
+    assert mean_by_cells(white + 0.02 * np.argwhere(where)[:, 0], where, 8)[1] > 4.0 * error
