@@ -56,6 +56,7 @@ def run(prog: str, work: Callable[[list[str]], Outcome | None]) -> NoReturn:
     work : callable
         Takes the words of the command line; returns the outcome, or None when it has printed already.
     """
+    import atexit
     import gc
     import signal
     import warnings
@@ -64,6 +65,7 @@ def run(prog: str, work: Callable[[list[str]], Outcome | None]) -> NoReturn:
         # small matrices: threads that wait for each other cost more than they bring
         os.environ.setdefault(name, "1")
     gc.set_threshold(20_000)  # looking for cycles among objects that live on took a tenth of a command
+    atexit.register(gc.freeze)  # and at the end, among all of scipy, VTK and matplotlib, another tenth
     if not sys.warnoptions:  # warnings of libraries are no warnings of ours: those have a code and a sentence
         warnings.simplefilter("ignore")
     for name in ("SIGTERM", "SIGHUP"):
