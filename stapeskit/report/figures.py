@@ -73,7 +73,8 @@ def style() -> Iterator[None]:
     """Draw in the style of this project, whatever the user's settings are: also as decorator ``@style()``."""
     import matplotlib
 
-    with matplotlib.rc_context(_settings()):
+    now = matplotlib.rcParams
+    with matplotlib.rc_context({key: value for key, value in _settings().items() if now[key] != value}):
         yield
 
 
