@@ -1,4 +1,4 @@
-"""The medial face of the footplate: cut out of a surface by pyvista, its plane, the fixed point of both.
+"""The medial face of the footplate: its region on a surface, its plane, the fixed point of both.
 
 The definition. On the surface, n are the outward normals diffused over 0.05 mm. For a direction y the
 medial face F(y) is the largest connected part where n lies within 60 degrees of -y. Then y is the normal of
@@ -12,18 +12,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.surface.fields import Diffusion, refined, sum_at_corners, unit
-from ct_inertia.surface.surface import Surface, as_mesh
+from ct_inertia.frames.footplate_cut import Cone, Face, no_face
+from ct_inertia.surface.fields import Diffusion, refined, unit
+from ct_inertia.surface.surface import Faces, Surface
 from stapeskit.arrays import Array
-from stapeskit.faults import StapeskitError
-
-if TYPE_CHECKING:
-    from pyvista import PolyData
 
 FACE_ANGLE_DEG = 60.0
 NORMAL_SCALE_MM = 0.05
@@ -34,51 +30,8 @@ EDGE_MM = 0.04
 """Longest edges of triangles after refinement: below the scale of the normals."""
 
 _DEPTH_MM, _DEEPER = 0.6, 1.5  # of the region around a footplate; deeper where the face reaches its end
-_CONE_MARGIN = 0.15  # cosines beyond the face's angle that the working part of the region keeps
-_CONE_TURN = 0.05  # turn of y (rad) after which that part is cut anew: a third of the margin
+_CONE_TURN = 0.05  # turn of y (rad) after which that part is cut anew: a third of its margin
 _ROUNDS = 60  # most iterations of the fixed point and of its plane: a guard against cycles
-_NEXT_STEP = "Check the segmentation or the mesh, or correct it with --seed or --labels"
-
-
-@dataclass(frozen=True)
-class Face:
-    """A medial face cut out of the surface.
-
-    Attributes
-    ----------
-    centres, areas : ndarray, (k, 3), (k,)
-        Its triangles, mm and mm2.
-    outline : ndarray, (n, 3)
-        Longest closed line of its border, in order, mm.
-    segments : ndarray, (s, 2, 3)
-        All pieces of its border, mm.
-    slopes : ndarray, (s,)
-        Length of the surface gradient there of the cosine between normal and -y, 1/mm.
-    reaches_end : bool
-        The region ends it, not the angle.
-    """
-
-    centres: Array
-    areas: Array
-    outline: Array
-    segments: Array
-    slopes: Array
-    reaches_end: bool
-
-    @property
-    def area(self) -> float:
-        """Area of the face, mm2."""
-        return float(self.areas.sum())
-
-    @cached_property
-    def centroid(self) -> Array:
-        """Area-weighted centroid (3,), mm."""
-        return np.asarray(self.areas @ self.centres / self.areas.sum())
-
-    def rms(self, normal: Array) -> float:
-        """Return how far it departs from the plane with a normal (3,), root mean square, mm."""
-        height = (self.centres - self.centroid) @ normal
-        return float(np.sqrt(self.areas @ (height - self.areas @ height / self.area) ** 2 / self.area))
 
 
 @dataclass(frozen=True)
@@ -87,12 +40,11 @@ class Region:
 
     Attributes
     ----------
-    mesh : PolyData
-        About ``middle``, for single precision in filters.
+    faces : ndarray of int, (m, 3)
     middle : ndarray, (3,)
         mm, scan coordinates.
     points : ndarray, (n, 3)
-        Its vertices, corrected for a blur that is left in the surface.
+        Its vertices about ``middle``, corrected for a blur that is left in the surface.
     normals : ndarray, (n, 3)
         Unit normals on the scale of the definition.
     diffusion : Diffusion
@@ -102,7 +54,7 @@ class Region:
         Median length of the edges before they were refined.
     """
 
-    mesh: PolyData
+    faces: Faces
     middle: Array
     points: Array
     normals: Array
@@ -169,7 +121,7 @@ def solve_at(surface: Surface, outward: Array, extent_mm: float, blur_mm: float)
         if not solved.face.reaches_end:
             return solved
         if depth > extent_mm:
-            raise _no_face("a face with an open outline")
+            raise no_face("a face with an open outline")
         depth *= _DEEPER
 
 
@@ -197,89 +149,7 @@ def region_around(surface: Surface, outward: Array, depth_mm: float, blur_mm: fl
         normals = unit(diffusion.normals())
         lift = 2.0 * (blur_mm / NORMAL_SCALE_MM) ** 2 * (points - diffusion.step(points))
         points = points + np.einsum("ij,ij->i", lift, normals)[:, None] * normals
-    return Region(mesh, middle, points, unit(diffusion.normals(points)), diffusion, ends, edge)
-
-
-@dataclass(frozen=True)
-class _Cone:
-    """The triangles of a region that look about against a direction."""
-
-    y_axis: Array
-    mesh: PolyData
-    normals: Array
-    ends: NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, region: Region, normals: Array, y_axis: Array, cosine: float) -> _Cone:
-        """Cut the cone out of a region, for one field of normals."""
-        faces = region.mesh.regular_faces
-        near = -(normals @ y_axis) > cosine - _CONE_MARGIN
-        faces = faces[np.any(near[faces], axis=1)]
-        if not len(faces):
-            raise _no_face("a body without such a face")
-        used, place = np.unique(faces, return_inverse=True)
-        mesh = as_mesh(np.asarray(region.mesh.points)[used], place.reshape(-1, 3))
-        mesh.point_data["place"] = region.points[used]
-        return cls(y_axis, mesh, normals[used], region.ends[used])
-
-    def face(self, y_axis: Array, cosine: float, border: bool = False) -> Face:
-        """Cut the face out; its border only where it is asked for."""
-        field = -(self.normals @ y_axis) - cosine
-        self.mesh.point_data["field"] = field
-        self.mesh.point_data["end"] = self.ends.astype(float)
-        if border:
-            self.mesh.point_data["slope"] = _slope(self.mesh, field)
-        patch = self.mesh.clip_scalar(scalars="field", value=0.0, invert=False)
-        if not patch.n_cells:
-            raise _no_face("a body without such a face")
-        patch = patch.triangulate().connectivity("all")
-        faces = np.asarray(patch.regular_faces)
-        corners = np.asarray(patch.points, dtype=float)[faces]
-        areas = 0.5 * np.linalg.norm(
-            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-        )
-        of = np.asarray(patch.cell_data["RegionId"])
-        kept = of == int(np.argmax(np.bincount(of, areas)))
-        places = np.asarray(patch.point_data["place"], dtype=float)
-        outline, segments, slopes = np.zeros((0, 3)), np.zeros((0, 2, 3)), np.zeros(0)
-        if border:
-            outline, segments, slopes = _border(
-                patch.extract_cells(kept).extract_surface(algorithm="dataset_surface")
-            )
-        ends = bool(np.any(np.asarray(patch.point_data["end"])[faces[kept]] > 0.5))
-        return Face(places[faces[kept]].mean(axis=1), areas[kept], outline, segments, slopes, ends)
-
-
-def _slope(mesh: PolyData, field: Array) -> Array:
-    """Return the length of the surface gradient of a field (n,) at the vertices, 1/mm."""
-    faces, points = np.asarray(mesh.regular_faces), np.asarray(mesh.points, dtype=float)
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    area = np.cross(b - a, c - a)
-    double = np.linalg.norm(area, axis=1)
-    across = field[faces[:, [0]]] * (c - b) + field[faces[:, [1]]] * (a - c) + field[faces[:, [2]]] * (b - a)
-    weighted = np.column_stack([np.linalg.norm(across, axis=1), double])
-    total = sum_at_corners(faces, weighted, len(points))
-    return np.asarray(total[:, 0] / np.maximum(total[:, 1], 1e-30))
-
-
-def _border(patch: PolyData) -> tuple[Array, Array, Array]:
-    """Return the longest line (n, 3) of a patch's border, all its pieces (s, 2, 3), the slopes there."""
-    edges = patch.extract_feature_edges(
-        boundary_edges=True, feature_edges=False, manifold_edges=False, non_manifold_edges=False
-    )
-    places = np.asarray(edges.point_data["place"], dtype=float)
-    pairs = np.asarray(edges.lines).reshape(-1, 3)[:, 1:]
-    slopes = np.asarray(edges.point_data["slope"], dtype=float)[pairs].mean(axis=1)
-    lines = np.asarray(edges.strip(join=True, max_length=10**6).lines)
-    best, longest, place = np.zeros((0, 3)), -1.0, 0
-    while place < len(lines):
-        line = places[lines[place + 1 : place + 1 + lines[place]]]
-        length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-        if length > longest:
-            best, longest = line, length
-        place += 1 + int(lines[place])
-    closed = len(best) > 1 and np.allclose(best[0], best[-1])
-    return best[:-1] if closed else best, places[pairs], slopes
+    return Region(faces, middle, points, unit(diffusion.normals(points)), diffusion, ends, edge)
 
 
 def solve(
@@ -309,7 +179,7 @@ def solve(
     """
     field = region.normals if normals is None else normals
     cosine = float(np.cos(np.radians(angle_deg)))
-    cone = _Cone.of(region, field, y_axis, cosine)
+    cone = Cone.of(region, field, y_axis, cosine)
     tried: list[tuple[Array, Array]] = []
     for _ in range(_ROUNDS):
         change = plane_normal(cone.face(y_axis, cosine), y_axis, 0.01 * accuracy) - y_axis
@@ -318,7 +188,7 @@ def solve(
         if np.linalg.norm(change) < accuracy:
             break
         if np.linalg.norm(y_axis - cone.y_axis) > _CONE_TURN:
-            cone = _Cone.of(region, field, y_axis, cosine)
+            cone = Cone.of(region, field, y_axis, cosine)
     face = cone.face(y_axis, cosine, border=True)
     moments, across = _outline_moments(face, y_axis)
     values, vectors = np.linalg.eigh(moments)
@@ -373,7 +243,9 @@ def _outline_moments(face: Face, y_axis: Array) -> tuple[Array, Array]:
     first = unit(np.cross(y_axis, np.eye(3)[int(np.argmin(np.abs(y_axis)))]))
     across = np.column_stack([first, np.cross(first, y_axis)])
     if len(face.outline) < 3:
-        raise _no_face("a face at its end that bends away without an edge")
+        if face.reaches_end:  # a deeper region will be cut
+            return np.eye(2), across
+        raise no_face("a face at its end that bends away without an edge")
     u, v = ((face.outline - face.centroid) @ across).T
     u2, v2 = np.roll(u, -1), np.roll(v, -1)
     cross = u * v2 - u2 * v
@@ -383,8 +255,3 @@ def _outline_moments(face: Face, y_axis: Array) -> tuple[Array, Array]:
     vv = (v * v + v * v2 + v2 * v2) @ cross / 12.0 / area - cv * cv
     uv = (u * v2 + 2.0 * u * v + 2.0 * u2 * v2 + u2 * v) @ cross / 24.0 / area - cu * cv
     return np.array([[uu, uv], [uv, vv]]), across
-
-
-def _no_face(got: str) -> StapeskitError:
-    expected = "a stapes with a footplate: a near-planar face at one end"
-    return StapeskitError.of("the surface", expected, got, next_step=_NEXT_STEP)
