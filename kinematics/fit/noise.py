@@ -22,6 +22,7 @@ FLOOR = 1e-12
 
 _LEAST_LEVEL_DOF = 4.0  # of a level of noise: the mean of 1 over fewer grows beyond 2, for 2 without end
 _LEVEL_ROUNDS = 6  # of channels: with wrong weights, residuals of quiet ones hold the noise of loud ones
+_LEVEL_LINES = 2000  # that show the level of a channel, to 1.6 %
 _ROBUST_ROUNDS = 3  # of level and motion in turn; the second changes the level by less than its own sd
 
 
@@ -33,6 +34,9 @@ def fit_with_noise(
     sd = assumed_sd(body, run)
     if body.is_noise_stated:
         return fit_lines(beams, value, sd, rate, robust), []
+    levels = _levels(measurement, body, beams, run)
+    if body.sd is None:
+        sd = np.broadcast_to(levels.level[:, None] * sd[:, :1], sd.shape)
     fit = fit_lines(beams, value, sd, rate)
     where = f" in run {measurement.runs[run]}" if len(measurement.runs) > 1 else ""
     if not np.any(fit.n_dof > 0):
@@ -42,14 +46,6 @@ def fit_with_noise(
         )
         unknown = replace(fit, covariance=np.full_like(fit.covariance, np.nan), chi2=np.zeros_like(fit.chi2))
         return unknown, [Notice("noise_unknown", text)]
-    levels = ChannelLevels.as_assumed(len(value))
-    if body.sd is None and not fit.solution.is_rounding():
-        readings = Readings.of(value[None], sd[None], measurement.freq_hz, body.arms_m, body.directions)
-        lasers = laser_numbers(body.directions)
-        for _ in range(_LEVEL_ROUNDS):
-            state = State(pack(replace(readings, noise_factor=levels.level)))
-            levels = channel_levels(state, lasers, levels.level)
-        fit = fit_lines(beams, value, np.asarray(levels.level[:, None] * sd), rate)
     for _ in range(1 if robust == "none" else _ROBUST_ROUNDS):
         level = pooled_levels(_line_energy(fit, robust), fit.n_dof.astype(float))
         factor = np.maximum(np.asarray(fit.factor * level), FLOOR)
@@ -80,6 +76,21 @@ def _unsure_noise(fit: LineFit, unsure: Array) -> float:
     freedom = max(float(np.sum(fit.n_dof)), _LEAST_LEVEL_DOF)
     weights = float(leverage @ added / max(float(np.sum(leverage)), 1e-9))
     return (1.0 + weights) * freedom / (freedom - 2.0)
+
+
+def _levels(measurement: Measurement, body: BodyChannels, beams: BeamSet, run: int) -> ChannelLevels:
+    """Return the noise of channels over the middle one from lines all over the band."""
+    some = slice(None, None, max(1, len(measurement.freq_hz) // _LEVEL_LINES))
+    value, rate = body.value[run][:, some], measurement.per_displacement[some]
+    sd, levels = assumed_sd(body, run)[:, some], ChannelLevels.as_assumed(len(value))
+    if body.sd is not None or fit_lines(beams, value, sd, rate).solution.is_rounding():
+        return levels
+    readings = Readings.of(value[None], sd[None], measurement.freq_hz[some], body.arms_m, body.directions)
+    lasers = laser_numbers(body.directions)
+    for _ in range(_LEVEL_ROUNDS):
+        state = State(pack(replace(readings, noise_factor=levels.level)))
+        levels = channel_levels(state, lasers, levels.level)
+    return levels
 
 
 def assumed_sd(body: BodyChannels, run: int) -> Array:
