@@ -7,7 +7,7 @@ residuals of all channels and lines are never kept.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,16 +42,16 @@ class Solution:
         Channels used.
     good : ndarray, (L,), bool
         Whether the line is determined.
-    energy, freedom : ndarray, (c,)
-        Sums over lines of |residual / sd|^2 and of its expectation, 2 (1 - leverage).
+    explained : ndarray, (L,)
+        Sum of |fitted / sd|^2 over channels.
+    freedom : ndarray, (c,)
+        Sum over lines of the expectation of |residual / sd|^2, 2 (1 - leverage).
     weight : ndarray, (c,)
         Mean over lines of 1 / sd^2, times the robust weight, relative to the largest of the line.
     square : ndarray, (c,)
         Sum of |residual|^2 times ``line_scale``.
     used : ndarray, (c,), int
         Lines in use.
-    explained : float
-        Sum of |fitted / sd|^2.
     """
 
     z: ComplexArray
@@ -59,12 +59,11 @@ class Solution:
     chi2: Array
     count: NDArray[np.int64]
     good: NDArray[np.bool_]
-    energy: Array
+    explained: Array
     freedom: Array
     weight: Array
     square: Array
     used: NDArray[np.int64]
-    explained: float = 0.0
 
     @classmethod
     def empty(cls, channels: int, size: int, lines: int) -> Solution:
@@ -75,25 +74,25 @@ class Solution:
             chi2=np.full(lines, np.nan),
             count=np.zeros(lines, dtype=np.int64),
             good=np.zeros(lines, dtype=bool),
-            energy=np.zeros(channels),
+            explained=np.zeros(lines),
             freedom=np.zeros(channels),
             weight=np.zeros(channels),
             square=np.zeros(channels),
             used=np.zeros(channels, dtype=np.int64),
         )
 
-    @property
-    def level(self) -> Array:
-        """Residual energy of each channel over that of its noise, (c,); NaN without redundancy."""
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.where(
-                self.freedom > 1e-9 * np.maximum(self.used, 1), self.energy / self.freedom, np.nan
-            )
+    def with_line_noise(self, factor: Array) -> Solution:
+        """Return the solution of least squares for noise that is larger by a factor (L,) of each line."""
+        square = factor**2
+        covariance = self.covariance * square[:, None, None]
+        return replace(
+            self, covariance=covariance, chi2=self.chi2 / square, explained=self.explained / square
+        )
 
     def is_rounding(self, share: float = 1e-8) -> bool:
         """Return whether residuals are rounding errors only, so that they are no measure of noise."""
         left = float(np.nansum(self.chi2))
-        return left <= share**2 * (left + self.explained)
+        return left <= share**2 * (left + float(self.explained.sum()))
 
 
 def blocks(channels: int, lines: int) -> Iterator[slice]:
@@ -160,12 +159,11 @@ def _fit_block(
     out.covariance[part] = np.where(good[:, None, None], 2.0 * plain, np.nan)
     out.chi2[part] = np.where(good, normal.sum(axis=0), np.nan)
     out.count[part], out.good[part] = used.sum(axis=0), good
-    out.energy += normal @ good.astype(float)
     out.freedom += 2.0 * np.sum(chosen * (1.0 - leverage), axis=1)
     out.weight += weight @ (good / np.where(largest > 0.0, largest, 1.0))
     out.square += (residual * chosen) @ scale[part]
     out.used += chosen.sum(axis=1).astype(int)
-    out.explained += float(np.sum((fitted.real**2 + fitted.imag**2) * noise * good))
+    out.explained[part] = np.sum((fitted.real**2 + fitted.imag**2) * noise * good, axis=0)
 
 
 def _pairs(basis: Array) -> Array:

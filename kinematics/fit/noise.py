@@ -49,7 +49,10 @@ def fit_with_noise(
     for _ in range(1 if robust == "none" else _ROBUST_ROUNDS):
         level = pooled_levels(_line_energy(fit, robust), fit.n_dof.astype(float))
         factor = np.maximum(np.asarray(fit.factor * level), FLOOR)
-        fit = fit_lines(beams, value, fit.sd, rate, robust, factor)
+        if robust == "none":
+            fit = fit.with_line_noise(factor)
+        else:
+            fit = fit_lines(beams, value, fit.sd, rate, robust, factor)
     fit = replace(fit, covariance=fit.covariance * _unsure_noise(fit, levels.unsure))
     what = "relative noise only" if body.sd is not None else "no noise"
     text = (

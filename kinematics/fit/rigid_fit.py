@@ -5,7 +5,7 @@ Shapes: c channels, m degrees of freedom, L lines.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,13 @@ class LineFit:
         used = self.solution.used
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(np.where(used > 0, np.sqrt(self.solution.square / used), np.nan))
+
+    def with_line_noise(self, factor: Array) -> LineFit:
+        """Return the fit of least squares for other factors (L,) of the noise: its motion is the same."""
+        change = factor / self.factor
+        solution = self.solution.with_line_noise(change)
+        covariance = self.covariance * (change**2)[:, None, None]
+        return replace(self, covariance=covariance, chi2=solution.chi2, factor=factor, solution=solution)
 
     def residual(self, lines: Lines = _WHOLE) -> ComplexArray:
         """Return measured minus fitted displacement, (c, n), m; NaN where missing."""

@@ -57,7 +57,13 @@ def test_mean_squares_reach_the_bound_and_intervals_cover(case):
     assert abs(inside - 0.95) < 4.0 * np.sqrt(0.95 * 0.05 / (12 * lines))
     freedom = 2 * (np.isfinite(value).sum(axis=0) - 6)
     assert abs(np.sum(fit.chi2) / np.sum(freedom) - 1.0) < 4.0 * np.sqrt(2.0 / np.sum(freedom))
-    assert np.nanmax(np.abs(fit.level - 1.0)) < 6.0 * np.sqrt(2.0 / lines)
+    energy = np.nansum(np.abs((value - basis @ fit.z) / sd) ** 2, axis=1)
+    known = fit.freedom > 0.0
+    assert np.max(np.abs(energy[known] / fit.freedom[known] - 1.0)) < 6.0 * np.sqrt(2.0 / lines)
+    factor = 10.0 ** rng.uniform(-1.0, 1.0, lines)  # of the noise of each line: the motion does not change
+    own, scaled = solve(basis, value, sd * factor), fit.with_line_noise(factor)
+    for name in ("z", "covariance", "chi2", "explained", "freedom", "weight", "square"):
+        np.testing.assert_allclose(getattr(scaled, name), getattr(own, name), rtol=1e-6, err_msg=name)
 
 
 def test_lines_with_weights_of_their_own_agree_with_a_plain_solver():
