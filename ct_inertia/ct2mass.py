@@ -5,9 +5,8 @@ One way for all: open -> find, or take labels -> measure the grey values -> surf
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from threading import Thread
@@ -30,6 +29,7 @@ from ct_inertia.results import MassResult
 from ct_inertia.surface.contour import contour
 from ct_inertia.surface.matched import moment_matched
 from ct_inertia.surface.surface import Surface
+from ct_inertia.voxels.masks import return_memory
 from stapeskit.arrays import Array
 from stapeskit.command import no_progress
 from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
@@ -207,8 +207,9 @@ def _measured_body(work: _Work, progress: Progress, inputs: Inputs) -> MeasuredB
 
     labelled = _labelled(work, progress, inputs)
     progress("measuring the stapes")
+    return_memory()
     work.measured = measure(labelled, work.options.coat)
-    _return_memory()
+    return_memory()
     work.notices += work.measured.notices
     return work.measured
 
@@ -261,12 +262,6 @@ def _importing_ahead() -> Iterator[None]:
         yield
     finally:
         thread.join()
-
-
-def _return_memory() -> None:
-    """Let the C library give back what it keeps of arrays that are gone, where it is that of GNU."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _add_files(inputs: Inputs, role: str, scan: Scan) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ct_inertia.bodies import Labelled, MeasuredBody, Scene
+from ct_inertia.bodies import Labelled, MeasuredBody, Moments, Scene
 from ct_inertia.frames.plate import plane_faces
 from ct_inertia.frames.plate_frame import facing
 from ct_inertia.grey.border import border_contacts, border_covariance, border_notice
@@ -22,6 +22,7 @@ from ct_inertia.grey.separation import bone_border
 from ct_inertia.grey.start import start
 from ct_inertia.grey.storing import storing_around
 from ct_inertia.voxels.fields import Grey
+from ct_inertia.voxels.masks import return_memory
 
 
 def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
@@ -48,7 +49,9 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
     begin = start(labelled, facing(faces, middle))
     storing = storing_around(labelled, begin)
     begin = begin if storing is None else storing.corrected(begin)
+    return_memory()
     fit = fit_scene(begin, Media.around(begin, coat), storing)
+    return_memory()
     parts = StapesParts.of(fit)
     moments = partial_volume_moments(parts.integrand, parts.transform, fit.spread_in_scan_mm2)
     left = misfits(fit, parts.residual, labelled.box.voxel_mm3, moments)
@@ -67,23 +70,21 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
         covariance = border_covariance(contacts, parts.integrand, begin.grid, moments)
         moments = moments.with_source("border", covariance)
 
-    def share(amount: Grey | None) -> float:
-        """Return an amount on the stapes' side as a share of its volume."""
-        if amount is None:
-            return 0.0
-        return float(effect(parts.where_own(amount), parts.transform, moments)[0] / moments.volume_mm3)
-
     notices = [*labelled.notices, *([] if storing is None else storing.notices())]
     notices += [*through.notices(moments.volume_mm3), *([border_notice(contacts)] if contacts else [])]
-    notices += media_notices(fit, share(parts.soft), share(fit.media.void_share))
-    notices += misfit_notice(left, share(unstated), bend, gain)
-    notices += [coat_notice(share(usual_coat(fit)))] if coat is None else []
+    soft, hollow, mucosa = (
+        _share(amount, parts, moments) for amount in (parts.soft, fit.media.void_share, unstated)
+    )
+    notices += [*media_notices(fit, soft, hollow), *misfit_notice(left, mucosa, bend, gain)]
+    notices += [coat_notice(_share(usual_coat(fit), parts, moments))] if coat is None else []
+    scene, level = _scene(fit, parts, labelled), parts.level
+    del parts  # a fifth of the memory, before surfaces need theirs
     return MeasuredBody(
         labelled=labelled,
-        scene=_scene(fit, parts, labelled),
+        scene=scene,
         moments=moments,
-        surface=body_surface(fit, "stapes", parts.level, around, float(np.sqrt(misfit))),
-        wall=body_surface(fit, "other", parts.level) if "other" in fit.bodies else None,
+        surface=body_surface(fit, "stapes", level, around, float(np.sqrt(misfit))),
+        wall=body_surface(fit, "other", level) if "other" in fit.bodies else None,
         plate=plate,
         plate_faces=faces,
         evidence={
@@ -93,6 +94,13 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
         },
         notices=tuple(notices),
     )
+
+
+def _share(amount: Grey | None, parts: StapesParts, moments: Moments) -> float:
+    """Return an amount on the stapes' side as a share of its volume."""
+    if amount is None:
+        return 0.0
+    return float(effect(parts.where_own(amount), parts.transform, moments)[0] / moments.volume_mm3)
 
 
 def _scene(fit: SceneFit, parts: StapesParts, labelled: Labelled) -> Scene:

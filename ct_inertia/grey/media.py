@@ -154,8 +154,11 @@ class Media:
         if self.voids is not None:
             image += self._filling(fit, rest - image, self.voids)
         if renew:
-            self._find_soft(fit, rest - image)
-        self.image = image + self.soft_image(fit)
+            rest -= image
+            self._find_soft(fit, rest)
+        if self.soft is not None:
+            image += self.soft_image(fit)
+        self.image = image
 
     def _filling(self, fit: SceneFit, rest: Grey, voids: Mask) -> Grey:
         """Fit one grey value to all closed hollows, and return its image."""
@@ -175,7 +178,10 @@ class Media:
         return np.float32(self.void_grey) * self.void_share
 
     def _find_soft(self, fit: SceneFit, rest: Grey) -> None:
-        """Average the residual where bodies hardly fill a voxel; keep what exceeds the noise."""
+        """Average the residual where bodies hardly fill a voxel; keep what exceeds the noise.
+
+        ``rest`` is overwritten.
+        """
         start, contrast = fit.start, fit.contrasts["stapes"]
         total = np.asarray(sum(fit.shares.values()))
         clear = ((total < _CLEAR[0]) & (start.basin != 0)) | (total < _CLEAR[1])
@@ -183,7 +189,8 @@ class Media:
         if self.void_share is not None:
             free[self.void_share > 0.05] = 0.0
         width = _MEDIUM_SIGMAS * fit.sigma_mm / start.spacing
-        mean = local_ratio(free * rest, free * free, width, 0.02)
+        rest *= free
+        mean = local_ratio(rest, np.square(free, out=free), width, 0.02)
         independent = max(1.0, float(np.prod(2.0 * np.sqrt(np.pi) * width)))
         scatter = start.noise * np.sqrt(start.correlation / independent)
         least = np.float32(max(_LEAST_MEDIUM * contrast, 3.0 * scatter))

@@ -54,6 +54,7 @@ class StapesParts:
         left = fit.data - others - fit.media.image
         level = bone_level(fit, left * np.float32(1.0 / fit.contrasts["stapes"]))
         unit = np.float32(1.0 / level.contrast)
+        soft = fit.media.soft_image(fit)  # zeros that take no memory where there is none
         return cls(
             fit=fit,
             level=level,
@@ -62,7 +63,7 @@ class StapesParts:
             behind=np.where(fit.start.within_reach & ~own, fit.shares["stapes"], zero),
             excess=left * unit,
             residual=fit.residual * unit,
-            soft=np.where(own, fit.media.soft_image(fit) * unit, zero),
+            soft=soft if fit.media.soft is None else np.where(own, soft * unit, zero),
             coat_sd=coat_sd_share(fit),
         )
 

@@ -70,7 +70,8 @@ class SceneFit:
         Local level of each body, and by how much its grey values pass it, in its window.
     media : Media
     storing : Storing or None
-    model, residual : ndarray of float32
+    residual : ndarray of float32
+        Of the data, less the model.
     uneven : bool
         The blur differs by direction.
     slopes : list of float
@@ -89,7 +90,6 @@ class SceneFit:
     bodies: dict[str, Grey] = field(default_factory=dict)
     levels: dict[str, Grey] = field(default_factory=dict)
     fields: dict[str, Grey] = field(default_factory=dict)
-    model: Grey = field(init=False)
     residual: Grey = field(init=False)
     slopes: list[float] = field(default_factory=list)
     uneven: bool = False
@@ -210,11 +210,12 @@ def _place_surface(fit: SceneFit, name: str, calm: Grey) -> None:
 
 
 def _compare(fit: SceneFit) -> None:
-    fit.model = fit.bones() + fit.media.image
+    model = fit.bones()
+    model += fit.media.image
     if fit.storing is not None:
         fit.data = fit.start.grey - np.float32(fit.start.air)
-        fit.data -= fit.storing.change(fit.model + np.float32(fit.start.air))
-    fit.residual = fit.data - fit.model
+        fit.data -= fit.storing.change(model + np.float32(fit.start.air))
+    fit.residual = np.subtract(fit.data, model, out=model)
 
 
 def _adjust_contrasts(fit: SceneFit) -> bool:
@@ -227,7 +228,8 @@ def _adjust_contrasts(fit: SceneFit) -> bool:
         inner &= fit.shares[name][window] > np.float32(_INNER)
         if np.count_nonzero(inner) < (_LEAST_PLASTIC if name == "plate" else _LEAST_INNER):
             continue
-        data, model = fit.data[window][inner], fit.model[window][inner]
+        data = fit.data[window][inner]
+        model = data - fit.residual[window][inner]
         slope = float(np.dot(data, model) / np.dot(model, model))
         if name == "stapes":
             fit.slopes.append(slope)
