@@ -215,7 +215,9 @@ def _read_alike(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table | No
     try:
         found = cells(plain, float, columns)
         listed = sorted(texts)
-        words = cells(lines, str, [sheet.header.index(name) for name in listed]).T.tolist() if listed else []
+        words: Iterable[NDArray[Any]] = (
+            cells(lines, str, [sheet.header.index(name) for name in listed]).T if listed else []
+        )
     except ValueError:
         return None
     if len(found) != len(lines):  # a return within a row
@@ -225,12 +227,14 @@ def _read_alike(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table | No
     return Table(sheet.file, values, encoded, sheet.line + np.arange(len(lines), dtype=np.int64))
 
 
-def _encode(column: Iterable[str]) -> TextColumn:
-    """Store every text once, without blanks around it."""
+def _encode(column: NDArray[Any]) -> TextColumn:
+    """Store every text once, without blanks around it; rows of one text mostly follow each other."""
+    begins = np.flatnonzero(np.concatenate([column[:1] == column[:1], column[1:] != column[:-1]]))
     places: dict[str, int] = {"": -1}
-    codes = [places.setdefault(text.strip(), len(places) - 1) for text in column]
+    codes = [places.setdefault(text.strip(), len(places) - 1) for text in column[begins].tolist()]
     del places[""]
-    return TextColumn(np.array(codes, dtype=np.intp), tuple(places))
+    length = np.diff(begins, append=len(column))
+    return TextColumn(np.repeat(np.array(codes, dtype=np.intp), length), tuple(places))
 
 
 def _read_cells(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table:
@@ -276,7 +280,7 @@ def _read_cells(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table:
                 where = Place(sheet.file, "line", (lines[place],))
                 faults.append(Fault(name, "a number", f'"{shown}"', where, _hint(cell, commas)))
     faults.sort(key=lambda fault: fault.where.numbers[0] if isinstance(fault.where, Place) else 0)
-    words = {name: _encode(columns[name]) for name in texts}
+    words = {name: _encode(np.array(columns[name], dtype=object)) for name in texts}
     return Table(sheet.file, values, words, np.array(lines, dtype=np.int64), tuple(faults), tuple(left_out))
 
 
