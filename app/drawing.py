@@ -188,7 +188,7 @@ class Drawing:
 
     def write(self, path: Path) -> None:
         """Write the labels whole, in the axes and on the voxels that they came in."""
-        from ct_inertia.scan.label_file import write_segmentation
+        from ct_inertia.exports.labels import write_segmentation
 
         write_segmentation(path, [self.labels], self.labels.shape, self.scan_from_index)
 

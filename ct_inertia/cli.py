@@ -56,17 +56,12 @@ def work(words: list[str]) -> Outcome:
 
     folder = Path(given.out) if given.out is not None else _usual_folder(options)
     report = not given.no_report
-    outputs = outputs_of(options, folder, report=report, exports=given.export, force=given.force)
+    outputs, labels_name = outputs_of(options, folder, report=report, exports=given.export, force=given.force)
     outputs.check()
     with progress_line(not given.quiet and not given.as_json) as progress, outputs.staged() as stage:
         result = measure_mass(options, progress)
         progress("drawing the report" if report else "writing")
-        names = result.write_into(
-            stage,
-            report=report,
-            labels_name=outputs.labels_name,
-            exports=given.export,
-        )
+        names = result.write_into(stage, report=report, labels_name=labels_name, exports=given.export)
     return Outcome(
         f"ct2mass: {options.source}",
         result.summary(),

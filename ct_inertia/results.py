@@ -232,9 +232,9 @@ class MassResult(Result):
         """
         from ct_inertia.exports.write import outputs_of
 
-        outputs = outputs_of(self.options, Path(folder), report=report, force=force)
+        outputs, labels_name = outputs_of(self.options, Path(folder), report=report, force=force)
         with outputs.staged() as stage:
-            names = self.write_into(stage, report=report, labels_name=outputs.labels_name)
+            names = self.write_into(stage, report=report, labels_name=labels_name)
         return tuple(Path(folder) / name for name in names)
 
     def write_into(

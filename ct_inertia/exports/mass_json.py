@@ -176,7 +176,7 @@ def _segmentation(result: MassResult) -> Mapping[str, Any] | None:
         "psf_sigma_mm": None if scene is None else scene.sigma_mm,
         "voxel_size_mm": scan.spacing_mm,
         "size_voxels": [int(count) for count in scan.size],
-        "separation": labelled.separation.method,
+        "separation": labelled.separation,
         "media": {} if scene is None else dict(scene.media),
         "measured": dict(body.evidence),
     }

@@ -25,12 +25,6 @@ _CROP_MARGIN_MM = 0.5  # around the stapes: annulus, face of the plate and tip o
 _CROP_PLANES = 8  # read and written at a time
 
 
-class MassFiles(Outputs):
-    """The outputs of ct2mass, with the name of the labels of this run: those given are never written over."""
-
-    labels_name: str = LABELS
-
-
 def outputs_of(
     options: MassOptions,
     folder: Path,
@@ -38,8 +32,8 @@ def outputs_of(
     report: bool = True,
     exports: Sequence[str] = (),
     force: bool = False,
-) -> MassFiles:
-    """Return the files that a run may write.
+) -> tuple[Outputs, str]:
+    """Return the files that a run may write, and the name of its labels: those given are never written over.
 
     Parameters
     ----------
@@ -59,9 +53,7 @@ def outputs_of(
     names = ["mass.json", "stapes.ply", "plate.ply", labels, CROP]
     names += [REPORT] if report else []
     names += [EXPORTS[name][0] for name in exports]
-    outputs = MassFiles("ct2mass", folder, names, [*options.inputs.values()], force)
-    outputs.labels_name = labels
-    return outputs
+    return Outputs("ct2mass", folder, names, [*options.inputs.values()], force), labels
 
 
 def write_files(
@@ -122,7 +114,7 @@ def needs_crop(result: MassResult) -> bool:
 
 def _write_crop(result: MassResult, path: Path) -> None:
     """Write the voxels around the stapes as NRRD."""
-    from ct_inertia.scan.label_file import write_crop
+    from ct_inertia.exports.labels import write_crop
 
     scan = result.scan
     if scan is None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import NamedTemporaryFile
@@ -163,7 +162,10 @@ def _placed(stored: Stored, slices: Sequence[_Slice]) -> list[_Slice]:
     worst = int(np.argmax(np.abs(steps - middle)))
     if not middle > 0.0 or abs(steps[worst] - middle) > _UNEVEN * middle:
         wanted, got = f"even ({middle:.6g} mm)", f"{steps[worst]:.6g} mm after slice {worst + 1}"
-        step = "Slices are missing, or several stacks are mixed: export the series again"
+        step = (
+            "Slices are missing or doubled, stacks are mixed, or positions were rounded: export the series "
+            "again, or as TIFF slices"
+        )
         raise StapeskitError.of("the distance of DICOM slices", wanted, got, next_step=step)
     aside = np.abs((places[order] - places[order[0]]) @ direction[:, :2])
     if np.any(aside > _ASIDE * np.array([x, y])):
@@ -217,8 +219,7 @@ def _dtype(slices: Sequence[_Slice]) -> np.dtype[Any]:
     if not np.all(np.isfinite([*rescaling])):
         step = "Export the series again"
         raise StapeskitError.of("the rescaling", "a slope and an offset", "no numbers", next_step=step)
-    scaled = rescaling != {(1.0, 0.0)}
-    return np.dtype(np.float32 if scaled else f"{'i' if signed else 'u'}{bits // 8}")
+    return np.dtype("f4" if rescaling != {(1.0, 0.0)} else f"{'i' if signed else 'u'}{bits // 8}")
 
 
 def _rescaling(one: _Slice) -> tuple[float, float]:
@@ -226,46 +227,37 @@ def _rescaling(one: _Slice) -> tuple[float, float]:
 
 
 def _pixels(one: _Slice, stored: Stored) -> NDArray[Any]:
-    """Return the pixels [y, x] of a slice, rescaled by its own slope and offset.
-
-    Notes
-    -----
-    SimpleITK reads no classes that the standard does not have; scanners write some of their own, which
-    pydicom reads where the pixels are not packed, and SimpleITK from a copy under the class of CT images.
-    Where 0 is white SimpleITK exchanges bright and dark itself (8 and 16 bit) or returns numbers that are
-    none (32 bit): these are read as they are stored, in the same two ways.
-    """
+    """Return the pixels [y, x] of a slice, rescaled by its own slope and offset."""
     import pydicom
 
     try:
-        values = None if stored.white_is_zero else _by_itk(one.file)
-        if values is None:
-            head = pydicom.dcmread(one.file, force=True)
-            try:
-                values = head.pixel_array
-            except RuntimeError:  # packed
-                with NamedTemporaryFile(suffix=".dcm") as copy:
-                    head.SOPClassUID = head.file_meta.MediaStorageSOPClassUID = pydicom.uid.CTImageStorage
-                    head.PhotometricInterpretation = "MONOCHROME2"
-                    head.save_as(copy.name)
-                    values = _by_itk(Path(copy.name))
-            else:
-                if stored.dtype.kind == "f":
-                    slope, intercept = _rescaling(one)
-                    values = values * np.float32(slope) + np.float32(intercept)
-        if values is None:
-            raise ValueError
+        head = pydicom.dcmread(one.file, force=True)
+        head.file_meta.setdefault("TransferSyntaxUID", pydicom.uid.ImplicitVRLittleEndian)
+        if head.file_meta.TransferSyntaxUID.is_compressed:
+            values = _unpacked(head)
+        else:
+            slope, intercept = _rescaling(one)
+            values = head.pixel_array
+            if stored.dtype.kind == "f":
+                values = values * np.float32(slope) + np.float32(intercept)
         return values.reshape(stored.shape[1:]).astype(stored.dtype, casting="same_kind", copy=False)
     except (RuntimeError, ValueError, TypeError, AttributeError) as fault:
         raise wrong_file("DICOM file", "one whose pixels cannot be read", one.file.name) from fault
 
 
-def _by_itk(file: Path) -> NDArray[Any] | None:
-    """Return the rescaled pixels of a file, or None where SimpleITK does not read it."""
+def _unpacked(head: Any) -> NDArray[Any]:
+    """Return packed pixels, rescaled, from a copy of the file as an image of CT.
+
+    SimpleITK unpacks every kind, but reads no class that a scanner's maker has added to those of the
+    standard, and where 0 is white it exchanges bright and dark itself.
+    """
+    import pydicom
     import SimpleITK as sitk
 
     sitk.ProcessObject.SetGlobalWarningDisplay(False)
-    with suppress(RuntimeError):
-        values: NDArray[Any] = sitk.GetArrayFromImage(sitk.ReadImage(str(file)))
-        return values
-    return None
+    head.SOPClassUID = head.file_meta.MediaStorageSOPClassUID = pydicom.uid.CTImageStorage
+    head.PhotometricInterpretation = "MONOCHROME2"
+    with NamedTemporaryFile(suffix=".dcm") as copy:
+        head.save_as(copy.name)
+        values: NDArray[Any] = sitk.GetArrayFromImage(sitk.ReadImage(copy.name))
+    return values

@@ -13,7 +13,6 @@ import numpy as np
 
 from ct_inertia.scan.place import mm_per_unit
 from ct_inertia.scan.stored import Stored, Stream, no_data_file, several_values
-from stapeskit.arrays import Array
 
 _LPS_FROM_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 
@@ -39,7 +38,10 @@ def open_nifti(path: Path) -> Stored:
 
 
 def _place(stored: Stored, header: Any, name: str) -> None:
-    """Set spacing, origin and direction: sform, else qform, else voxel sizes alone (nifti1.h)."""
+    """Set spacing, origin and direction: sform, else qform, else voxel sizes alone (nifti1.h).
+
+    A notice says where the sform, which counts, and the rest of the header place voxels differently.
+    """
     forms = (header.get_sform(True)[0], header.get_qform(True)[0]) if "sform_code" in header else (None, None)
     unit = mm_per_unit(header.get_xyzt_units()[0]) if "xyzt_units" in header else None
     if unit is None:
@@ -48,30 +50,24 @@ def _place(stored: Stored, header: Any, name: str) -> None:
     unit = unit or 1.0
     sform, qform = (None if form is None else _LPS_FROM_RAS @ form for form in forms)
     steps = np.abs(np.asarray(header.get_zooms()[:3], dtype=float))
-    affine = next((form for form in (sform, qform) if form is not None), np.diag([*steps, 1.0]))
+    affine = np.diag([*steps, 1.0]) if qform is None else qform
+    affine = affine if sform is None else sform
     spacing = np.linalg.norm(affine[:3, :3], axis=0)
     if not np.all(np.isfinite(affine)) or np.any(spacing <= 0.0):
         return
     stored.spacing_mm, stored.origin_mm = spacing * unit, affine[:3, 3] * unit
     stored.direction = affine[:3, :3] / spacing
     stored.anatomical = sform is not None or qform is not None
-    if sform is not None and qform is not None:
-        _note_difference(stored, affine, qform, "qform", unit, name)
-    elif sform is not None:
-        sized = affine @ np.diag([*(steps / spacing), 1.0])
-        _note_difference(stored, affine, sized, "voxel sizes (pixdim)", unit, name)
-
-
-def _note_difference(
-    stored: Stored, affine: Array, other: Array, called: str, unit: float, name: str
-) -> None:
-    """Add a notice where the sform, which counts, and the rest of the header place voxels differently."""
-    steps, stated = (np.linalg.norm(one[:3, :3], axis=0) for one in (affine, other))
+    if sform is None:
+        return
+    sized = affine @ np.diag([*(steps / spacing), 1.0])
+    other, called = (sized, "voxel sizes (pixdim)") if qform is None else (qform, "qform")
+    stated = np.linalg.norm(other[:3, :3], axis=0)
     corners = np.array([[*corner, 1.0] for corner in product(*((0, n - 1) for n in stored.shape[:-4:-1]))])
     apart = float(np.linalg.norm((corners @ (affine - other).T)[:, :3], axis=1).max()) * unit
-    if apart <= 0.5 * unit * steps.min():
+    if apart <= 0.5 * unit * spacing.min():
         return
-    first, second = (", ".join(f"{value:.5g}" for value in unit * one) for one in (steps, stated))
+    first, second = (", ".join(f"{value:.5g}" for value in unit * one) for one in (spacing, stated))
     text = (
         f"{name} states the place of its voxels twice: by the sform ({first} mm a voxel), which was used, "
         f"and by the {called} ({second} mm); a corner lies {apart:.4g} mm apart. Programs that prefer the "

@@ -57,8 +57,7 @@ def open_scan(
         The file is missing, of an unknown kind, damaged or truncated, has no spacing, or is no
         three-dimensional picture of differing grey values.
     """
-    path = _existing(Path(path))
-    scan = replace(_placed(path, *_opened(path, raw), spacing_mm, mirror), nan_as_air=nan_as_air)
+    scan = replace(_open(Path(path), spacing_mm, mirror, raw), nan_as_air=nan_as_air)
     middle = scan.shape[0] // 2
     plane = scan.read((slice(middle, middle + 1), slice(None), slice(None)))
     first = plane.flat[0]
@@ -86,11 +85,7 @@ def open_labels(
     StapeskitError
         As `open_scan`; also values that are not whole numbers.
     """
-    path = _existing(Path(path))
-    stored, fetch, entry = _opened(path)
-    stored.white_is_zero = False  # numbers that name bodies are neither bright nor dark
-    own = stored.spacing_mm is not None and np.all(np.isfinite(stored.spacing_mm))
-    grid = _placed(path, stored, fetch, entry, None if own else spacing_mm, mirror)
+    grid = _open(Path(path), spacing_mm, mirror, labels=True)
     labels = grid.read()
     if labels.dtype.kind == "f":
         whole = np.rint(labels)
@@ -109,96 +104,31 @@ def _constant(scan: Scan, value: object) -> StapeskitError:
     return StapeskitError.of("the volume", wanted, got, scan.name, step)
 
 
-def _existing(path: Path) -> Path:
-    """Return the path of a folder, or of a regular file with content.
-
-    Raises
-    ------
-    StapeskitError
-        Nothing is there, it cannot be looked at, it is empty, or it is a pipe or a device.
-    """
-    wanted, got, step = "a file or folder that can be read", "", "Check its path and permissions"
-    try:
-        if not path.exists():
-            wanted, got = "an existing file or folder", f"no {path}"
-        elif path.is_dir():
-            next(path.iterdir(), None)
-        elif not path.is_file():
-            got, step = "a pipe or a device", "Save it as a file"
-        elif path.stat().st_size == 0:
-            got, step = "an empty file", "Copy it again"
-        else:
-            path.open("rb").close()
-    except (OSError, ValueError) as fault:
-        got = getattr(fault, "strerror", None) or str(fault)
-    if got:
-        raise StapeskitError.of("the scan", wanted, got, path.name, step)
-    return path if path.name else path.resolve()
-
-
-def _opened(path: Path, layout: RawLayout | None = None) -> tuple[Stored, Fetch, Format]:
-    """Read the header in a child process, which stays where it decodes voxels."""
-    entry = format_of(path) if layout is None or path.is_dir() else RAW
-
-    def open_source() -> tuple[Stored, Answer]:
-        stored = _plainly(entry, path, lambda: _described(entry, path, layout))
-        decode = stored.voxels
-        if not callable(decode):
-            return stored, no_requests
-        stored.voxels = None
-        return stored, lambda box: _plainly(entry, path, lambda: decode(box))
-
-    limit_s = max(_LEAST_LIMIT_S, processor_limit_s(path))
-    half_of_all = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2 if can_fork() else 0
-    memory = max(memory_limit(path), half_of_all)
-    session = Session(open_source, path, f"the {entry.title} scan", limit_s, memory, entry.libraries)
-    stored = session.opened
-    if stored.voxels is None:
-        return stored, session.ask, entry
-    session.close()
-    planes = cast(Sequence[tuple[Path, int]], stored.voxels)
-    return stored, plane_reader(planes, stored.shape, stored.dtype), entry
-
-
-def _described(entry: Format, path: Path, layout: RawLayout | None) -> Stored:
-    stored = open_raw(path, layout) if entry is RAW else entry.open_file(path)
-    find_voxels(stored, path)
-    return stored
-
-
-def _plainly(entry: Format, path: Path, work: Callable[[], Result]) -> Result:
-    """Return what ``work`` returns; whatever a library raises on a damaged file becomes one sentence."""
-    try:
-        return work()
-    except MemoryError:
-        raise
-    except StapeskitError as error:
-        named = (replace(fault, where=fault.where or path.name) for fault in error.faults)
-        raise StapeskitError(*named) from error
-    except Exception as fault:
-        got = "a damaged one, or of another kind"
-        if path.is_file():
-            with path.open("rb") as stream:
-                got += f": it begins with {stream.read(12)!r}"
-        raise wrong_file(f"{entry.title} file", got, path.name) from fault
-
-
-def _placed(
+def _open(
     path: Path,
-    stored: Stored,
-    fetch: Fetch,
-    entry: Format,
     spacing_mm: float | Sequence[float] | None,
     mirror: str | None,
+    raw: RawLayout | None = None,
+    labels: bool = False,
 ) -> Scan:
-    """Return the scan behind a file on a right-handed grid; spacing and mirror are the user's.
+    """Open a file or folder as a scan on a right-handed grid; spacing and mirror are the user's.
 
     Raises
     ------
     StapeskitError
-        No spacing, or sheared directions.
+        No scan, no spacing, or sheared directions.
     """
+    path = _existing(path)
     name = path.name
+    entry = format_of(path) if raw is None or path.is_dir() else RAW
+    stored, fetch = _voxels(entry, path, raw)
+    if labels:  # numbers that name bodies are neither bright nor dark, and their own spacing wins
+        stored.white_is_zero = False
+        own = stored.spacing_mm is not None and np.all(np.isfinite(stored.spacing_mm))
+        spacing_mm = None if own else spacing_mm
+    elif stored.coloured:
+        got, step = "numbers of colours whose brightness does not grow with them", "Export grey values"
+        raise StapeskitError.of("the volume", "grey values", got, name, step)
     spacing = choose_spacing(stored, spacing_mm, name)
     if stored.white_is_zero:
         stored.note(
@@ -230,6 +160,79 @@ def _placed(
         carries_place=entry.carries_place,
         chunk_planes=stored.depth,
     )
+
+
+def _existing(path: Path) -> Path:
+    """Return the path of a folder, or of a regular file with content.
+
+    Raises
+    ------
+    StapeskitError
+        Nothing is there, it cannot be looked at, it is empty, or it is a pipe or a device.
+    """
+    wanted, got, step = "a file or folder that can be read", "", "Check its path and permissions"
+    try:
+        if not path.exists():
+            wanted, got = "an existing file or folder", f"no {path}"
+        elif path.is_dir():
+            next(path.iterdir(), None)
+        elif not path.is_file():
+            got, step = "a pipe or a device", "Save it as a file"
+        elif path.stat().st_size == 0:
+            got, step = "an empty file", "Copy it again"
+        else:
+            path.open("rb").close()
+    except (OSError, ValueError) as fault:
+        got = getattr(fault, "strerror", None) or str(fault)
+    if got:
+        raise StapeskitError.of("the scan", wanted, got, path.name, step)
+    return path if path.name else path.resolve()
+
+
+def _described(entry: Format, path: Path, layout: RawLayout | None) -> Stored:
+    stored = open_raw(path, layout) if entry is RAW else entry.open_file(path)
+    find_voxels(stored, path)
+    return stored
+
+
+def _voxels(entry: Format, path: Path, layout: RawLayout | None) -> tuple[Stored, Fetch]:
+    """Read the header in a child process, which stays where it decodes voxels."""
+
+    def open_source() -> tuple[Stored, Answer]:
+        stored = _plainly(entry, path, lambda: _described(entry, path, layout))
+        decode = stored.voxels
+        if not callable(decode):
+            return stored, no_requests
+        stored.voxels = None
+        return stored, lambda box: _plainly(entry, path, lambda: decode(box))
+
+    limit_s = max(_LEAST_LIMIT_S, processor_limit_s(path))
+    half_of_all = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2 if can_fork() else 0
+    memory = max(memory_limit(path), half_of_all)
+    session = Session(open_source, path, f"the {entry.title} scan", limit_s, memory, entry.libraries)
+    stored = session.opened
+    if stored.voxels is None:
+        return stored, session.ask
+    session.close()
+    planes = cast(Sequence[tuple[Path, int]], stored.voxels)
+    return stored, plane_reader(planes, stored.shape, stored.dtype)
+
+
+def _plainly(entry: Format, path: Path, work: Callable[[], Result]) -> Result:
+    """Return what ``work`` returns; whatever a library raises on a damaged file becomes one sentence."""
+    try:
+        return work()
+    except MemoryError:
+        raise
+    except StapeskitError as error:
+        named = (replace(fault, where=fault.where or path.name) for fault in error.faults)
+        raise StapeskitError(*named) from error
+    except Exception as fault:
+        got = "a damaged one, or of another kind"
+        if path.is_file():
+            with path.open("rb") as stream:
+                got += f": it begins with {stream.read(12)!r}"
+        raise wrong_file(f"{entry.title} file", got, path.name) from fault
 
 
 def _grey_values(stored: Stored, fetch: Fetch, reverse: tuple[int, ...]) -> Fetch:

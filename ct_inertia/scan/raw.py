@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,7 @@ from ct_inertia.scan.scan import Box, Fetch
 from ct_inertia.scan.stored import Stored, Stream, no_data_file, several_values, unpack_once, wrong_file
 from stapeskit.faults import StapeskitError
 
-_PAGE = 4096  # bytes that the system reads at least: shorter rows are not read one by one
-_THREADS = 2
-_THREADS_FROM = 5  # planes; fewer are read sooner than a thread starts
+_THREADS = 2  # that read planes at a time
 
 
 @dataclass(frozen=True)
@@ -158,53 +156,37 @@ def plane_reader(planes: Sequence[tuple[Path, int]], shape: tuple[int, ...], dty
         As stored.
     """
     width = shape[2]
-    row_bytes = width * dtype.itemsize
 
     def fetch(box: Box) -> NDArray[Any]:
         zs, ys, xs = (range(n)[along] for along, n in zip(box, shape, strict=True))
         out = np.empty((len(zs), len(ys), len(xs)), dtype=dtype.newbyteorder("="))
-        by_rows = ys.step > 1 and row_bytes >= _PAGE
 
         def read(k: int) -> None:
             file, start = planes[zs[k]]
-            with _open(file) as stream:
-                if by_rows:
-                    rows = np.empty((len(ys), width), dtype)
-                    for row, y in zip(rows, ys, strict=True):
-                        _fill(stream, row, start + y * row_bytes)
-                else:
-                    rows = np.empty((ys[-1] - ys[0] + 1, width), dtype)
-                    _fill(stream, rows, start + ys[0] * row_bytes)
-                    rows = rows[:: ys.step]
-            out[k] = rows[:, xs.start : xs.stop : xs.step]
+            rows = _values(file, start + ys[0] * width * dtype.itemsize, dtype, (ys[-1] - ys[0] + 1) * width)
+            out[k] = rows.reshape(-1, width)[:: ys.step, xs.start : xs.stop : xs.step]
 
-        if out.size and len(zs) < _THREADS_FROM:
-            for k in range(len(zs)):
-                read(k)
-        elif out.size:
-            with ThreadPoolExecutor(_THREADS) as pool:
-                list(pool.map(read, range(len(zs))))
+        with ThreadPoolExecutor(_THREADS) as pool:
+            list(pool.map(read, range(len(zs) if out.size else 0)))
         return out
 
     return fetch
 
 
-def _open(path: Path) -> BinaryIO:
+def _values(file: Path, start: int, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
+    """Return so many values at a byte of a file.
+
+    Raises
+    ------
+    StapeskitError
+        The file has gone, may no longer be read, or ends before.
+    """
     try:
-        return path.open("rb", buffering=0)
-    except OSError as fault:  # it has gone, or may no longer be read
+        values = np.fromfile(file, dtype, count, offset=start)
+    except OSError as fault:
         wanted, step = "a file that can be read", "Check its name, permissions and disk"
-        raise StapeskitError.of("the scan", wanted, fault.strerror, path.name, step) from fault
-
-
-def _fill(stream: BinaryIO, out: NDArray[Any], place: int) -> None:
-    """Read bytes at a place of a file into an array; a file that ends before is refused."""
-    view = out.reshape(-1).view(np.uint8).data
-    stream.seek(place)
-    done = 0
-    while done < len(view):
-        count = stream.readinto(view[done:])  # type: ignore[attr-defined]
-        if not count:
-            got, name = f"a file that ends at byte {place + done}", Path(stream.name).name
-            raise StapeskitError.of("the scan", "complete", got, name, "Copy or export it again")
-        done += count
+        raise StapeskitError.of("the scan", wanted, fault.strerror, file.name, step) from fault
+    if len(values) < count:
+        got = f"a file that ends at byte {start + values.nbytes}"
+        raise StapeskitError.of("the scan", "complete", got, file.name, "Copy or export it again")
+    return values

@@ -89,18 +89,15 @@ class Scan:
         object.__setattr__(self, "shape", tuple(int(n) for n in self.shape))
         object.__setattr__(self, "dtype", np.dtype(self.dtype).newbyteorder("="))
         check_grey_values(self.shape, self.dtype, self.name)
-        spacing, origin = np.array(self.spacing_mm, dtype=float), np.array(self.origin_mm, dtype=float)
-        for thing, values, good in (
-            ("the voxel spacing", spacing, np.all(spacing > 0.0)),
-            ("the origin of the scan", origin, True),
-        ):
-            if values.shape != (3,) or not np.all(np.isfinite(values)) or not good:
+        for name, least in (("spacing_mm", 0.0), ("origin_mm", -np.inf)):
+            values = np.array(getattr(self, name), dtype=float)
+            if values.shape != (3,) or not np.all((values > least) & (values < np.inf)):
+                thing = "the voxel spacing" if name == "spacing_mm" else "the origin of the scan"
                 step = "Correct the header, or give --spacing"
                 raise StapeskitError.of(thing, "three proper numbers in mm", values, self.name, step)
+            object.__setattr__(self, name, values)
         direction = nearest_rotation(np.array(self.direction, dtype=float), self.name)
-        for name, value in (("spacing_mm", spacing), ("origin_mm", origin), ("direction", direction)):
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
+        object.__setattr__(self, "direction", direction)
 
     @classmethod
     def from_array(cls, array: NDArray[Any], spacing_mm: ArrayLike, **fields: Any) -> Self:
@@ -200,13 +197,9 @@ class Scan:
         low = np.clip(np.ceil(index.min(axis=0) - 1e-6), 0, self.size).astype(int)
         high = np.clip(np.floor(index.max(axis=0) + 1e-6) + 1, 0, self.size).astype(int)
         if np.any(high - low < 2):
-            ends = self.scan_points(np.array([0 * self.size, self.size - 1]))
-            held, given = (
-                " to ".join(", ".join(f"{value:.6g}" for value in end) for end in pair)
-                for pair in (ends, corners)
-            )
-            wanted, step = f"a box in the scan ({held} mm)", "Give two corners in scan coordinates, mm"
-            raise StapeskitError.of("--box", wanted, f"{given} mm", self.name, step)
+            held = self.scan_points(np.array([0 * self.size, self.size - 1])).round(3).tolist()
+            wanted, step = f"a box in the scan, {held} mm", "Give two corners in scan coordinates, mm"
+            raise StapeskitError.of("--box", wanted, f"{corners.tolist()} mm", self.name, step)
         return slice(low[2], high[2]), slice(low[1], high[1]), slice(low[0], high[0])
 
     def part(self, box: Box) -> Scan:
@@ -274,18 +267,9 @@ def block_means(scan: Scan, block: Sequence[int], box: Box) -> NDArray[np.float3
         A voxel cannot be read or is not finite.
     """
     bx, by, bz = (int(n) for n in block)
-    lengths = [len(range(n)[along]) for along, n in zip(box, scan.shape, strict=True)]
-    means = np.empty([n // size for n, size in zip(lengths, (bz, by, bx), strict=True)], dtype=np.float32)
-    share = np.float32(1.0 / (bx * by * bz))
-    for first, slab in scan.slabs(bz, box):
-        layer = slab[0].astype(np.float32)
-        for plane in slab[1:]:
-            layer += plane
-        rows = layer[::by] * share
-        for j in range(1, by):
-            rows += layer[j::by] * share
-        mean = means[first // bz]
-        np.copyto(mean, rows[:, ::bx])
-        for i in range(1, bx):
-            mean += rows[:, i::bx]
-    return means
+    means = []
+    for _, slab in scan.slabs(bz, box):
+        layer = np.add.reduce(slab, axis=0, dtype=np.float32)
+        rows = np.add.reduce(layer.reshape(-1, by, layer.shape[1]), axis=1)
+        means.append(np.add.reduce(rows.reshape(len(rows), -1, bx), axis=2))
+    return np.asarray(np.stack(means) / np.float32(bx * by * bz), dtype=np.float32)

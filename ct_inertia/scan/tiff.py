@@ -14,12 +14,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.scan.place import believed_spacing, is_printer_resolution, mm_per_unit
-from ct_inertia.scan.stored import Stored, beside, by_planes, native, several_values, unpack_once, wrong_file
+from ct_inertia.scan.stored import (
+    Stored,
+    beside,
+    by_planes,
+    native,
+    note_gaps,
+    numbered,
+    several_values,
+    unpack_once,
+    wrong_file,
+)
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 
 _DAMAGE = ("invalid", "truncat", "corrupt", "failed to", "unexpected", "does not match", "missing data")
 _EVEN_STEPS = 1e-3  # relative range of plane distances that is rounding
+_OTHER_STEPS = 0.3  # relative difference of a plane distance that no stage makes: left out, or turned round
 
 
 def open_tiff(path: Path) -> Stored:
@@ -38,10 +49,9 @@ def open_tiff(path: Path) -> Stored:
         number = next((k for k, one in enumerate(all_series) if sum(n > 1 for n in one.shape) > 2), 0)
         series, page = all_series[number], all_series[number].keyframe
         stored = Stored(_shape(series, page), _dtype(series, page), files=files)
-        read_page_tags(stored, page)
-        if not _ome_place(stored, xml, number, len(all_series)) and meta:
-            _imagej_place(stored, meta, _resolution(page))
-        _imagej_values(stored, meta)
+        _describe(stored, page, meta)
+        _ome_place(stored, xml, number, len(all_series))
+        _note_labels(stored, meta.get("Labels") or (), path.name)
         if len(all_series) > 1 and not all_series[0].is_pyramidal:
             stored.note(f"{path.name} holds {len(all_series)} images; the first stack was read.")
         pages = list(series.pages) if len(series.pages) == stored.shape[0] else []
@@ -143,21 +153,29 @@ def _raw_planes(series: Any, pages: Sequence[Any], page: Any, stored: Stored) ->
     return planes
 
 
-def read_page_tags(stored: Stored, page: Any) -> None:
-    """Take the exchange of bright and dark, and spacing x, y from the resolution tags, from a page.
+def describe_slice(stored: Stored, path: Path) -> None:
+    """Take what the first of many files of one slice says of grey values and of spacing along x and y."""
+    import tifffile
 
-    Raises
-    ------
-    StapeskitError
-        Its colours are a palette whose brightness does not grow with the number, as in lookup tables.
-    """
+    with listening(path), tifffile.TiffFile(path) as tif:
+        _describe(stored, tif.pages[0], (tif.imagej_metadata or {}) if tif.is_imagej else {})
+
+
+def _note_labels(stored: Stored, labels: Sequence[str], name: str) -> None:
+    """Report gaps in the numbers of the slices that ImageJ keeps in their labels: a substack lacks some."""
+    series = numbered([Path(label.split("\n")[0]) for label in labels])
+    numbers = sorted({number for slices in series.values() for number, _ in slices})
+    if len(series) == 1 and len(numbers) == len(labels) > 1:
+        note_gaps(stored, numbers, name)
+
+
+def _describe(stored: Stored, page: Any, meta: dict[str, Any]) -> None:
+    """Take bright and dark, and spacing x, y, from the tags of a page, and what ImageJ says of them."""
     photometric = "" if page.photometric is None else page.photometric.name
     stored.white_is_zero = photometric == "MINISWHITE"
     if photometric == "PALETTE":
         brightness = np.asarray(page.colormap, dtype=float).reshape(3, -1).sum(axis=0)
-        if np.any(np.diff(brightness) < 0.0):
-            got, step = "numbers of colours whose brightness does not grow with them", "Export grey values"
-            raise StapeskitError.of("the volume", "grey values", got, next_step=step)
+        stored.coloured = bool(np.any(np.diff(brightness) < 0.0))
     tag = page.tags.get("ResolutionUnit")
     x, y = _resolution(page) * {2: 25.4, 3: 10.0}.get(int(tag.value or 0) if tag is not None else 0, np.nan)
     stored.known = "the TIFF has no resolution with a unit"
@@ -166,6 +184,9 @@ def read_page_tags(stored: Stored, page: Any) -> None:
     elif np.isfinite(x + y):
         stored.spacing_mm = np.array([x, y, np.nan])
         stored.known = f"the TIFF says {x:.6g} x {y:.6g} mm in a slice but not the distance of slices"
+    if meta:
+        _imagej_place(stored, meta, _resolution(page))
+        _imagej_values(stored, meta)
 
 
 def _resolution(page: Any) -> Array:
@@ -207,13 +228,14 @@ def _imagej_values(stored: Stored, meta: dict[str, Any]) -> None:
         stored.intercept, stored.slope = (float(meta.get(f"c{k}", k)) for k in (0, 1))
 
 
-def _ome_place(stored: Stored, xml: str, number: int, count: int) -> bool:
-    """Set the place that OME-XML states of one of so many images; return False where it has none.
+def _ome_place(stored: Stored, xml: str, number: int, count: int) -> None:
+    """Set the place that OME-XML states of one of so many images.
 
     Notes
     -----
     Lengths are in micrometres where no unit is given (OME schema 2016-06). A position in a reference frame
-    without a length counts as 0. Where PhysicalSizeZ is missing, it is the distance of the planes.
+    without a length counts as 0. Where PhysicalSizeZ is missing, it is the distance of the planes; where the
+    two differ, planes were left out or turned round, and neither is believed.
     """
     images = []
     with suppress(ElementTree.ParseError):
@@ -222,24 +244,27 @@ def _ome_place(stored: Stored, xml: str, number: int, count: int) -> bool:
         stored.spacing_mm = None
         stored.known = f"the OME header has {len(images)} images, and which one this is is open"
     if len(images) not in (1, count):
-        return bool(images)
+        return
     pixels = images[number if len(images) > 1 else 0]
     size = _lengths(pixels, "PhysicalSize", "µm")
     planes = sorted(pixels.findall("{*}Plane"), key=lambda one: int(one.get("TheZ", "0") or 0))
     places = np.array([_lengths(one, "Position", "reference frame") for one in planes]).reshape(-1, 3)
     if len(places):
         stored.origin_mm = np.nan_to_num(places[0])
-    steps = np.abs(np.diff(places[:, 2]))
-    if np.isnan(size[2]) and len(steps) and np.ptp(steps) < _EVEN_STEPS * np.mean(steps):
-        size[2] = np.mean(steps)
+    steps = np.diff(places[:, 2])
+    if np.isnan(size[2]) and len(steps) and np.ptp(steps) < _EVEN_STEPS * np.abs(np.mean(steps)):
+        size[2] = np.abs(np.mean(steps))
     size[size <= 0.0] = np.nan
+    differ = steps[np.abs(steps - size[2]) > _OTHER_STEPS * size[2]]  # never where one is unknown
     unit = mm_per_unit(pixels.get("PhysicalSizeZUnit", "µm")) or 1.0
     stored.spacing_mm, unset = believed_spacing(size / unit, unit)
     known = [
         f"{axis} {value:.6g} mm" for axis, value in zip("xyz", stored.spacing_mm, strict=True) if value > 0
     ]
     stored.known = unset or f"the OME header says {', '.join(known) or 'no physical size'}"
-    return True
+    if len(differ):
+        stored.spacing_mm[2] = np.nan
+        stored.known += f", but planes that are {differ[0]:.6g} mm apart"
 
 
 def _lengths(element: Any, name: str, default_unit: str) -> Array:

@@ -9,7 +9,7 @@ from scipy.ndimage import binary_dilation, binary_erosion
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES
 from ct_inertia.find.find import find_stapes
-from ct_inertia.find.label_numbers import body_numbers
+from ct_inertia.find.label_volume import body_numbers
 from ct_inertia.find.labels import _check_place, label_stapes
 from ct_inertia.grey.measure import measure
 from ct_inertia.scan.scan import Scan

@@ -219,6 +219,35 @@ def test_imagej_zero_is_the_origin_and_a_negative_slice_distance_is_asked_about(
     assert (fault.thing, f"{-SPACING[2]:.6g} mm" in fault.got) == ("the voxel spacing", True)
 
 
+@pytest.mark.parametrize(
+    ("left_out", "code"), [([4], "slices_missing"), (range(0, 14, 2), "file_read"), ([], None)]
+)
+def test_labels_of_imagej_tell_slices_that_a_substack_lacks(tmp_path, left_out, code):
+    numbers = [number for number in range(14) if number not in left_out][:7]
+    labels = [f"rec{number:04d}.tif\nmore" for number in numbers]
+    scan = open_scan(w.imagej(tmp_path / "a.tif", picture(), metadata={"Labels": labels}))
+    assert codes(scan) - {"handedness_unconfirmed"} == ({code} if code else set())
+
+
+@pytest.mark.parametrize("heights", [[40.0 * k for k in range(7)], [-20.0 * k for k in range(7)]])
+def test_ome_planes_at_other_steps_than_the_stated_size_are_asked_about(tmp_path, heights):
+    sizes = {"axes": "ZYX", "PhysicalSizeX": 20.0, "PhysicalSizeY": 25.0, "PhysicalSizeZ": 20.0}
+    planes = {"PositionX": [0.0] * 7, "PositionY": [0.0] * 7, "PositionZ": heights}
+    planes |= {f"Position{axis}Unit": ["µm"] * 7 for axis in "XYZ"}
+    tifffile.imwrite(tmp_path / "a.ome.tif", picture(), metadata=sizes | {"Plane": planes})
+    assert f"{1e-3 * heights[1]:g} mm apart" in refused(tmp_path / "a.ome.tif").got
+    assert open_scan(tmp_path / "a.ome.tif", SPACING).spacing_mm == pytest.approx(SPACING)
+
+
+def test_signed_slices_of_imagej_have_the_values_that_it_shows(tmp_path):
+    signed = {"unit": "mm", "cf": 0, "c0": -32768.0, "c1": 1.0}
+    for k, image in enumerate(picture()):
+        stored = (image.astype(int) + 31768).astype("u2")
+        tifffile.imwrite(tmp_path / f"{k}.tif", stored, imagej=True, resolution=(50, 40), metadata=signed)
+    assert np.array_equal(open_scan(tmp_path, SPACING).read(), picture() - 1000.0)
+    assert "0.02 x 0.025 mm in a slice" in refused(tmp_path).got
+
+
 def test_white_is_zero_is_inverted_for_scans_and_not_for_labels(tmp_path):
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, picture("u1"), photometric="miniswhite")

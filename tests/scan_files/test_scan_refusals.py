@@ -10,7 +10,7 @@ import pytest
 import SimpleITK as sitk
 import tifffile
 
-from ct_inertia.scan.open_scan import open_scan
+from ct_inertia.scan.open_scan import open_labels, open_scan
 from ct_inertia.scan.raw import RawLayout
 from stapeskit.faults import StapeskitError
 from tests.scan_files import scan_writers as w
@@ -179,6 +179,12 @@ def test_only_a_reconstruction_log_gives_the_voxel_size(tmp_path):
     assert open_scan(folder).spacing_mm[0] == pytest.approx(0.02)
 
 
+def test_the_log_of_another_scanner_does_not_hide_what_the_slices_say(tmp_path):
+    folder = w.slices(tmp_path / "rec", picture(), resolution=(500, 400), resolutionunit="CENTIMETER")
+    (folder / "scan.log").write_text("Pixel Size (um)=20\n")
+    assert "0.02 x 0.025 mm in a slice" in refused(folder, None).got
+
+
 def test_folders_of_slices(tmp_path):
     (tmp_path / "empty").mkdir()
     refused(tmp_path / "empty")
@@ -209,6 +215,13 @@ def test_folders_of_slices(tmp_path):
             tifffile.imwrite(tmp_path / f"ear_c{channel}_{k}_8bit.tif", image)
     assert "other_#.tif (7 slices)" in refused(folder).got
     assert "ear_c1_#_8bit.tif" in refused(tmp_path).got
+
+
+def test_numbers_of_colours_are_labels_and_no_grey_values(tmp_path):
+    table = np.tile(np.random.default_rng(1).permutation(256).astype("u2") * 257, (3, 1))
+    tifffile.imwrite(tmp_path / "p.tif", picture("u1"), photometric="palette", colormap=table)
+    assert refused(tmp_path / "p.tif").expected == "grey values"
+    assert np.array_equal(open_labels(tmp_path / "p.tif", SPACING)[0], picture("u1"))
 
 
 NO_SCANS = {
