@@ -89,6 +89,10 @@ class PlateRegion:
         Grey levels; 0 and 1 for labels.
     immersing : bool
         It lies around the stapes on nearly all sides, as a fluid does and no plate.
+    one_of_several : bool
+        There are other bodies of plastic, farther from the stapes.
+    named : bool
+        A person labelled it.
     """
 
     mask: Mask
@@ -97,27 +101,13 @@ class PlateRegion:
     air: float
     plastic: float
     immersing: bool = False
+    one_of_several: bool = False
+    named: bool = False
 
     @property
     def scan_from_index(self) -> Array:
         """Index x, y, z of the grid to scan coordinates, mm, (4, 4)."""
         return self.grid.scan_from_index
-
-
-@dataclass(frozen=True)
-class Separation:
-    """How the stapes was separated from other bone.
-
-    Attributes
-    ----------
-    method : str
-        In words, for the report.
-    at_neck : bool
-        By a plane at a neck.
-    """
-
-    method: str
-    at_neck: bool = False
 
 
 @dataclass(frozen=True)
@@ -138,7 +128,10 @@ class Labelled:
         First guess of the grey levels; ``plastic`` is None without a plate.
     noise : float
         Standard deviation of the grey value of a block of the box within a material.
-    separation : Separation
+    separation : str
+        How the stapes was separated from other bone, in words.
+    at_neck : bool
+        It was by a plane at a neck.
     named : bool
         A person named the body by a seed or by labels: an unusual size is reported, not refused.
     notices : tuple of Notice
@@ -154,7 +147,8 @@ class Labelled:
     bone: float
     plastic: float | None
     noise: float
-    separation: Separation
+    separation: str
+    at_neck: bool = False
     named: bool = False
     notices: tuple[Notice, ...] = ()
 

@@ -49,7 +49,8 @@ class Moments:
                 "the measured body",
                 "one of positive volume and extent",
                 f"{self.volume_mm3:.3g} mm3",
-                next_step="Check its labels and grey values",
+                next_step="Check its labels, and that grey values were read as they were written (signed or "
+                "unsigned, order of bytes)",
             )
 
     @property

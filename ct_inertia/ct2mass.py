@@ -19,7 +19,7 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.anatomy import AnatomyHints
 from ct_inertia.frames.footplate import FootplateFrame, footplate_frame, pose_near
 from ct_inertia.frames.footplate_sd import EXACT, SurfaceError
-from ct_inertia.frames.plate_frame import PlateFrame, plate_frame
+from ct_inertia.frames.plate_frame import PlateFrame, facing, plate_frame
 from ct_inertia.inputs import Inputs
 from ct_inertia.mass.properties import point_masses
 from ct_inertia.mass.sizes import impossible, measured_sizes, size_notice, unsuitable, unusual_notice
@@ -123,14 +123,12 @@ def _measured(options: MassOptions, progress: Progress, inputs: Inputs) -> MassR
     if options.is_mesh:
         progress("reading the mesh")
         body, frame_surface, error, moments = _mesh(work)
-        plate: Surface | None = None
     else:
         measured = _measured_body(work, progress, inputs)
         progress("finding the frames")
         moments = measured.moments
         frame_surface, error = _frame_surface(measured)
         body = moment_matched(measured.surface.field, moments, measured.surface.scan_from_index)
-        plate = measured.plate
     footplate = _footplate(work, frame_surface, error, moments)
     pose = _plate_frame(work, moments)
     gap = None if work.measured is None else _gap(work.measured, footplate, frame_surface, error)
@@ -147,7 +145,7 @@ def _measured(options: MassOptions, progress: Progress, inputs: Inputs) -> MassR
         footplate=footplate,
         plate_frame=pose,
         stapes=body,
-        plate=plate,
+        plate=None if work.measured is None else work.measured.plate,
         moments=moments,
         ways=ways,
         gap=gap,
@@ -334,16 +332,31 @@ def _plate_frame(work: _Work, moments: Moments) -> PlateFrame | None:
         from ct_inertia.frames.fiducials import plate_frame_from_fiducials
 
         return plate_frame_from_fiducials(work.fiducials, moments.centroid_mm)
-    if work.measured is not None and work.measured.plate is not None:
-        region = work.measured.labelled.plate_region
+    if work.measured is None:
+        return None
+    labelled, faces = work.measured.labelled, work.measured.plate_faces
+    region, text = labelled.plate_region, "No plate was found beside the stapes"
+    named = region is not None and region.named
+    if work.measured.plate is not None and (named or facing(faces, moments.centroid_mm)):
         cell = 0.0 if region is None else float(np.linalg.norm(region.scan_from_index[:3, 0]))
-        return plate_frame(work.measured.plate_faces, moments.centroid_mm, _PLATE_SHIFT * cell)
-    if work.measured is not None:
+        if region is not None and region.one_of_several:
+            several = (
+                "The scan holds several bodies of plastic; the one nearest to the stapes was taken for the "
+                "plate. If it is another one, label it (--labels) or give --plate-fiducials."
+            )
+            work.notices.append(Notice("plate_axis_ambiguous", several))
+        return plate_frame(faces, moments.centroid_mm, _PLATE_SHIFT * cell)
+    if work.measured.plate is not None:
         text = (
-            "No plate was found beside the stapes: there is no plate frame, and no mass matrix in its axes. "
-            "If the scan holds one, give --plate-fiducials, or label it (--labels)."
+            "The plastic beside the stapes has no plane face towards it, as a tube or a holder has none, and "
+            "counts as no plate"
         )
-        work.notices.append(Notice("plate_not_found", text))
+        work.measured = replace(work.measured, plate=None)
+    text += (
+        ": there is no plate frame, and no mass matrix in its axes. If the scan holds a plate, give "
+        "--plate-fiducials, or label it (--labels)."
+    )
+    work.notices.append(Notice("plate_not_found", text))
     return None
 
 

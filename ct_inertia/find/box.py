@@ -12,9 +12,12 @@ from ct_inertia.scan.scan import Scan, block_means
 from ct_inertia.voxels.grid import Grid
 from ct_inertia.voxels.masks import grown
 from stapeskit.arrays import Array
+from stapeskit.faults import StapeskitError
 
 ALONE_MM, IN_SITU_MM = 0.024, 0.0124
 """Largest blocks for a stapes alone, and for one that touches other bone, mm: finer ones cost time only."""
+
+_LEAST_BESIDE = 50  # voxels before and behind a blank slice: a crus
 
 MARGIN = (0.25, 16)
 """Around the stapes, mm and blocks, whichever is more: room for its blur and for air beyond it."""
@@ -57,7 +60,7 @@ def read_box(
     Raises
     ------
     StapeskitError
-        Voxels that cannot be read or are refused.
+        Voxels that cannot be read or are refused, and a blank slice amid others.
     """
     block = block_for(scan.spacing_mm, most_mm)
     around = np.maximum(margin[1] * block, np.ceil(margin[0] / scan.spacing_mm)).astype(np.int64)
@@ -69,6 +72,8 @@ def read_box(
     grid = Grid.of(scan, tuple(int(n) for n in count[::-1]), first, block)
     last = first + count * block
     z, y, x = (slice(int(a), int(b)) for a, b in zip(first[::-1], last[::-1], strict=True))
+    if overview is not None:
+        _check_slices(scan, z, y, x)
     if np.all(block == 1):
         box = Box(**vars(grid), grey=scan.read((z, y, x)).astype(np.float32))
     else:
@@ -79,6 +84,22 @@ def read_box(
         grey = block_means(scan, [int(n) for n in block], (z, y, x))
         box = Box(**vars(grid), grey=grey, single=scan.read((middle[0], middle[1], middle[2])))
     return box if overview is None else _with_measured(box, overview)
+
+
+def _check_slices(scan: Scan, z: slice, y: slice, x: slice) -> None:
+    """Refuse a slice of one value between two that differ from it in the same places: it cuts the body.
+
+    A plane of air that the export has clipped lies between bodies of which one is elsewhere. Every second
+    voxel along x and y is looked at.
+    """
+    values = scan.read((z, slice(y.start, y.stop, 2), slice(x.start, x.stop, 2)))
+    blank = np.all(values == values[:, :1, :1], axis=(1, 2))
+    for k in np.flatnonzero(blank[1:-1] & ~blank[:-2] & ~blank[2:]) + 1:
+        both = (values[k - 1] != values[k]) & (values[k + 1] != values[k])
+        if np.count_nonzero(both) > _LEAST_BESIDE:
+            got = f"{values[k].flat[0]} in every voxel of slice {z.start + k}, counted from 0"
+            step = "It was lost: reconstruct or copy it again"
+            raise StapeskitError.of("the scan", "without blank slices in the stapes", got, scan.name, step)
 
 
 def _with_measured(box: Box, overview: Overview) -> Box:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Box, Cells, Labelled, PlateRegion, Separation
+from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Box, Cells, Labelled, PlateRegion
 from ct_inertia.find.box import ALONE_MM, IN_SITU_MM, block_for, read_box
 from ct_inertia.find.choose import Candidate, Search, choose
 from ct_inertia.find.overview import Overview, look_at, noise_of, scan_notices, smooth_noise
@@ -74,7 +74,8 @@ def _label(scan: Scan, overview: Overview, chosen: Candidate) -> Labelled:
         bone=reading.bone,
         plastic=reading.plastic,
         noise=view.noise,
-        separation=Separation(view.method) if split is None else split.separation(),
+        separation=view.method if split is None else str(split),
+        at_neck=split is not None and split.neck is not None,
         notices=_cropped_notice(chosen),
     )
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Box, Cells, Labelled, PlateRegion, Separation
+from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Box, Cells, Labelled, PlateRegion
 from ct_inertia.find.box import read_box
 from ct_inertia.find.label_volume import LEAST_VOXELS, read_labels
 from ct_inertia.find.levels import readings
@@ -99,7 +99,7 @@ def _alone(drawn: Drawn, scan: Scan, notices: list[Notice]) -> Labelled:
         bone=1.0,
         plastic=None,
         noise=0.0,
-        separation=Separation("labels alone"),
+        separation="labels alone",
         named=True,
         notices=(*notices, Notice("file_read", text)),
     )
@@ -142,7 +142,7 @@ def _on_scan(drawn: Drawn, grid: Grid, scan: Scan, overview: Overview, notices: 
         bone=bone,
         plastic=plastic,
         noise=noise_of(box.grey),
-        separation=Separation("labels made elsewhere"),
+        separation="labels made elsewhere",
         named=True,
         notices=(*notices, *_cut_by_labels(box, local, grid, middle)),
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,7 @@ HALF_GAP_MM = calibrated("split.half_gap_mm")
 _PERFORATION_MM = calibrated("stapes.perforation_mm")
 _LEAST_MM3 = 0.02  # of a piece that is described: a fortieth of a small stapes, for time only
 _MOST_HOLES = 8  # of a perforated footplate; bone full of pores has more
-_HULL_POINTS, _HULL_SIDES = 4000, 400  # voxels and planes of a hull, for time: planes are 10 degrees apart
+_HULL_POINTS = 4000  # voxels that are sought in a hull, for time
 _SPREAD = 0.1  # relative standard deviation of a length of stapedes, of a volume thrice as much
 _NO_ARCH, _BORDER, _SURROUNDING = 6.0, 4.0, 6.0  # of the log-likelihood: one stapes in 400, in 50, in 400
 USUAL = 0.5
@@ -206,6 +205,7 @@ def count_holes(inside: Mask) -> int:
     is smoothed by a majority vote of 27 voxels first. Voxels that touch in a corner hang together.
     """
     import cc3d
+    from skimage.measure import euler_number
 
     votes = np.pad(inside, 3).astype(np.uint8)
     for axis in range(3):
@@ -217,45 +217,21 @@ def count_holes(inside: Mask) -> int:
         return 0
     smooth = labels == int(np.argmax(np.bincount(labels[smooth])))
     cavities = cc3d.connected_components(~smooth, connectivity=6, return_N=True)[1] - 1
-    return 1 + cavities - _euler_number(smooth)
-
-
-def _euler_number(mask: Mask) -> int:
-    """Return corners - edges + faces - cubes of a solid of closed cubes, (z, y, x).
-
-    Cubes that touch in a corner hang together; the outermost layer is empty. scikit-image has the same
-    number, but its module of measures takes a tenth of a second to load.
-    """
-    total = 0
-    for axes in product((False, True), repeat=3):
-        cells = mask
-        for axis in np.flatnonzero(axes):  # cells between neighbours along these axes
-            side = np.moveaxis(cells, axis, 0)
-            cells = np.moveaxis(side[1:] | side[:-1], 0, axis)
-        total -= (-1) ** sum(axes) * int(np.count_nonzero(cells))
-    return total
+    return int(1 + cavities - euler_number(smooth, connectivity=3))
 
 
 def _surrounded(piece: Piece) -> float:
     """Return the volume of other pieces inside a piece's convex hull, divided by the volume of the piece.
 
-    The hull is that of its extents along many directions, which is larger by some thousandths of its width.
+    The hull is that of some of its voxels.
     """
+    from scipy.spatial import ConvexHull
+
     part = piece.labels[piece.box][::2, ::2, ::2]
     own, other = np.argwhere(part == piece.label), np.argwhere((part > 0) & (part != piece.label))
-    if len(other) == 0 or len(own) < 50:
+    if len(other) == 0 or len(own) < 50 or np.linalg.matrix_rank(np.cov(own.T)) < 3:
         return 0.0
     every = max(1, len(other) // _HULL_POINTS)
-    normals = _directions()
-    reach = (own[:: max(1, len(own) // (4 * _HULL_POINTS))] @ normals).max(axis=0)
-    inside = np.all(other[::every] @ normals <= reach, axis=1)
+    sides = ConvexHull(own[:: max(1, len(own) // (4 * _HULL_POINTS))]).equations
+    inside = np.all(other[::every] @ sides[:, :3].T <= -sides[:, 3], axis=1)
     return float(np.count_nonzero(inside) * every / len(own))
-
-
-def _directions() -> Array:
-    """Return directions (3, n) that cover the sphere evenly: a spiral of the golden angle."""
-    place = np.arange(_HULL_SIDES) + 0.5
-    height = 1.0 - 2.0 * place / _HULL_SIDES
-    turn = np.pi * (1.0 + np.sqrt(5.0)) * place
-    radius = np.sqrt(1.0 - height**2)
-    return np.stack([radius * np.cos(turn), radius * np.sin(turn), height])

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ct_inertia.bodies import Box, PlateRegion
 from ct_inertia.calibrated import calibrated
@@ -16,6 +20,7 @@ from ct_inertia.voxels.masks import Mask, eroded, grown, used_box, widened
 from stapeskit.arrays import Array
 
 _LEAST_MM3 = 0.5  # of a plate; one of millimetres has several
+_DENSE = 0.85  # of the contrast of plastic, in its inner half: a fluid has less
 _RIM_MM = calibrated("plate_region.rim_mm")
 _BALL_MM = 0.06  # radius of a ball that a plate holds and a blurred rim does not
 _GRID_MM = 0.0625  # voxels of the plate's grid: half of that rim, for a plate of millimetres needs no finer
@@ -25,7 +30,7 @@ _COLLAR_MM, _MOST_COVERED = 0.15, 0.7  # a plate covers the footplate and some o
 
 
 def find_plate(scan: Scan, overview: Overview, reading: Reading, stapes: Mask) -> PlateRegion | None:
-    """Find the largest body of plastic grey that is no blurred rim of bone; None where there is none.
+    """Find the body of plastic next to the stapes that is no blurred rim of bone; None where there is none.
 
     ``stapes`` is its mask, [z, y, x] in coarse voxels.
 
@@ -51,22 +56,38 @@ def find_plate(scan: Scan, overview: Overview, reading: Reading, stapes: Mask) -
     if overview.unmeasured is not None:
         free &= ~overview.unmeasured[some]
     labels = cc3d.connected_components(grown(eroded(free)) & free, connectivity=6)
-    sizes = np.bincount(labels.ravel())
-    if sizes.size < 2 or sizes[1:].max() * grid.voxel_mm3 < _LEAST_MM3:
+    dense = reading.air + _DENSE * (reading.plastic - reading.air)
+    numbers = 1 + np.flatnonzero(np.bincount(labels.ravel())[1:] * grid.voxel_mm3 >= _LEAST_MM3)
+    found = [int(k) for k in numbers if np.percentile(soft[labels == k], 75.0) > dense]
+    if not found:
         return None
-    core = labels == int(np.argmax(sizes[1:])) + 1
+    core = np.asarray(labels == _nearest(labels, found, stapes[some], grid.spacing_mm))
     wide = _RIM_MM + float(grid.spacing_mm.max())
-    away = capped_distance(core, grid.spacing_mm, 1.5 * wide)
-    mask = (away <= np.float32(wide)) & (soft > middle) & ~solid
+    away = capped_distance(core, grid.spacing_mm, 3.0 * wide)
     deep = from_bone > np.float32(1.5 * _RIM_MM)
+    beside = deep & (away > np.float32(1.5 * wide)) & (away < np.float32(3.0 * wide))
     plastic = _mean_inside(grey[core & deep], reading.plastic)
-    air = _mean_inside(grey[(soft < middle) & deep], reading.air)
+    air = _mean_inside(grey[beside & (soft < middle)], reading.air)  # or the medium that the plate lies in
+    middle = np.float32(0.5 * (air + plastic))
+    mask = (away <= np.float32(wide)) & (soft > middle) & ~solid
     box = widened(used_box(mask), 3)
     share = (soft[box] - np.float32(air)) / np.float32(plastic - air)
     inside = grown(grown(mask[box])) & ~grown(solid[box])
     field = np.where(inside, np.clip(share, -1.0, 1.0), np.minimum(share, 0.0)) - np.float32(0.5)
     immersing = _surrounds(mask, solid, stapes[some], grid.spacing_mm)
-    return PlateRegion(mask[box], field.astype(np.float32), grid.part(box), air, plastic, immersing)
+    part = grid.part(box)
+    return PlateRegion(mask[box], field.astype(np.float32), part, air, plastic, immersing, len(found) > 1)
+
+
+def _nearest(labels: NDArray[Any], numbers: Sequence[int], stapes: Mask, spacing_mm: Array) -> int:
+    """Return the number of the body nearest to the stapes: others may be a tube, a wall or a holder."""
+    from scipy.spatial import cKDTree
+
+    if len(numbers) == 1 or not stapes.any():
+        return numbers[0]
+    own = cKDTree(np.argwhere(stapes) * spacing_mm[::-1])
+    away = [own.query(np.argwhere(labels == number) * spacing_mm[::-1])[0].min() for number in numbers]
+    return numbers[int(np.argmin(away))]
 
 
 def plate_mask(region: PlateRegion, box: Box, quiet: Grey, bone: Mask) -> Mask:
@@ -88,7 +109,7 @@ def drawn_plate(plate: Mask, grid: Grid) -> PlateRegion | None:
     box = widened(used, 3)
     mask = plate[box]
     field = smooth(mask.astype(np.float32), np.full(3, 0.8)) - np.float32(0.5)
-    return PlateRegion(mask, field, grid.part(box), 0.0, 1.0)
+    return PlateRegion(mask, field, grid.part(box), 0.0, 1.0, named=True)
 
 
 def _surrounds(plastic: Mask, bone: Mask, stapes: Mask, spacing_mm: Array) -> bool:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ct_inertia.bodies import Separation
 from ct_inertia.calibrated import calibrated
 from ct_inertia.find.box import block_for, read_box
 from ct_inertia.find.levels import Reading
@@ -71,12 +70,10 @@ class Split:
         """What was cut off at a neck reaches the border of the scan."""
         return self.neck is not None and self.parts[1].at_border
 
-    def separation(self) -> Separation:
-        """Return how the parts were separated."""
+    def __str__(self) -> str:
         if self.neck is None:
-            return Separation(f"split along narrow gaps, across bridges up to {2e3 * self.depth_mm:.0f} um")
-        method = f"cut at the neck of least cross-section ({self.neck.area_mm2:.2f} mm2) near an end"
-        return Separation(method, at_neck=True)
+            return f"split along narrow gaps, across bridges up to {2e3 * self.depth_mm:.0f} um"
+        return f"cut at the neck of least cross-section ({self.neck.area_mm2:.2f} mm2) near an end"
 
 
 def splits(

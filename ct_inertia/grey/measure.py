@@ -13,7 +13,7 @@ from ct_inertia.grey.border import border_contacts, border_covariance, border_no
 from ct_inertia.grey.budget import amounts_of, grey_scale_bend, unstated_coat, with_sources
 from ct_inertia.grey.frame_surface import body_surface
 from ct_inertia.grey.media import Coat, Media, coat_notice, media_notices, usual_coat
-from ct_inertia.grey.misfit import gain_over_body, misfit_notice, misfits
+from ct_inertia.grey.misfit import broken_slices, gain_over_body, misfit_notice, misfits
 from ct_inertia.grey.moments import effect, partial_volume_moments
 from ct_inertia.grey.parts import StapesParts
 from ct_inertia.grey.plate_plane import plate_surface
@@ -77,6 +77,7 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
     )
     notices += [*media_notices(fit, soft, hollow), *misfit_notice(left, mucosa, bend, gain)]
     notices += [coat_notice(_share(usual_coat(fit), parts, moments))] if coat is None else []
+    notices += broken_slices(fit, parts.residual)
     scene, level = _scene(fit, parts, labelled), parts.level
     del parts  # a fifth of the memory, before surfaces need theirs
     return MeasuredBody(

@@ -165,13 +165,13 @@ class FacePlane:
 
 
 def plate_surface(labelled: Labelled) -> Surface | None:
-    """Return the surface of the plate, half way between the levels of air and plastic around it."""
+    """Return the surface of the plate, half way between plastic and what is around it."""
     region = labelled.plate_region
     if region is None:
         return None
     level = 0.0
     if labelled.plastic is not None and not labelled.box.is_mask and region.plastic != 1.0:
-        middle = 0.5 * (labelled.air + labelled.plastic)
+        middle = 0.5 * (region.air + labelled.plastic)
         level = (middle - region.air) / (region.plastic - region.air) - 0.5
     return contour(region.field, region.scan_from_index, level)
 

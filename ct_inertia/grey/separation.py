@@ -91,7 +91,7 @@ def bone_border(
     grid = begin.grid
     air, full = levels
     middle = 0.5 * (air + full)
-    neck = labelled.separation.at_neck
+    neck = labelled.at_neck
     stapes, other = (mask[begin.part] for mask in (labelled.stapes, labelled.other))
     bodies = (stapes | other) & (begin.grey > np.float32(middle))
     edge = own & bodies & _across_faces(bodies & ~own)

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 from scipy.special import erf
 
-from ct_inertia.bodies import Box, Cells, Labelled, Separation
+from ct_inertia.bodies import Box, Cells, Labelled
 from ct_inertia.find.plate import drawn_plate
 from ct_inertia.scan.scan import Scan
 from simulate.ear import Ear
@@ -104,7 +104,7 @@ def labelled(grey, spacing, stapes, other=None, plate=None, plastic=None, noise=
         bone=BONE,
         plastic=plastic,
         noise=0.02 * (BONE - AIR) if noise is None else noise,
-        separation=Separation("by hand"),
+        separation="by hand",
     )
 
 

@@ -222,6 +222,30 @@ def test_a_block_that_a_copy_has_lost_was_not_measured():
     assert abs(found.moments.volume_mm3 - exact.volume_mm3) < 2.0 * found.moments.volume_sd_mm3
 
 
+def test_a_blank_slice_in_the_stapes_is_refused_with_its_number():
+    scan, placed = ear(gap_mm=0.12)
+    grey = scan.read()
+    middle = round(float(scan.index_points(true_moments(placed).centroid_mm)[2]))
+    grey[middle] = 0
+    fault = first_fault(Scan.from_array(grey, scan.spacing_mm))
+    assert f"slice {middle}" in fault.got
+
+
+BROKEN = {
+    "a part has moved": lambda grey, k: np.concatenate([grey[:k], np.roll(grey[k:], 3, axis=2)]),
+    "six are missing": lambda grey, k: np.delete(grey, np.s_[k : k + 6], axis=0),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_slices_that_do_not_continue_their_neighbours_are_named(name):
+    scan, placed = ear(gap_mm=0.12)
+    middle = round(float(scan.index_points(true_moments(placed).centroid_mm)[2]))
+    found = measure(find_stapes(Scan.from_array(BROKEN[name](scan.read(), middle), scan.spacing_mm)))
+    (text,) = [notice.text for notice in found.notices if notice.code == "slices_missing"]
+    assert str(middle) in text
+
+
 @pytest.mark.parametrize("begins", [0.0, 0.06])
 def test_air_that_the_export_has_clipped_was_measured(begins):
     """A window that begins up to two deviations of the noise above air leaves one value nearly everywhere."""
