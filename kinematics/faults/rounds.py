@@ -159,5 +159,5 @@ def null_fit(readings: Readings, layout: Layout) -> Round:
         packed = packed.scaled(np.maximum(pooled_levels(energy, freedom), 1e-150))
         estimate = joint(packed, expected, estimate.values)
     tests = tuple(score_tests(estimate.state, expected, places(layout, live)))
-    noise = Noise() if stated else unknown_noise(estimate, tests)
+    noise = Noise() if stated else unknown_noise(estimate, tests, levels.unsure)
     return Round(readings, layout, packed, expected, estimate, noise, tests, levels)

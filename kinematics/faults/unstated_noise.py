@@ -13,7 +13,6 @@ import numpy as np
 from kinematics.faults.scores import Noise, Test
 from kinematics.fit.lsq import solve
 from kinematics.joint.estimate import Estimate, State
-from kinematics.joint.noise_levels import LEAST_FREEDOM
 from kinematics.joint.pack import Readings
 from stapeskit.arrays import Array, ComplexArray
 
@@ -27,12 +26,17 @@ _LEAST_LINES = 4  # for each motion
 _LEAST_SHARE = 0.05  # of its noise that a channel must keep in its residuals
 
 
-def unknown_noise(estimate: Estimate, tests: Sequence[Test]) -> Noise:
+def unknown_noise(estimate: Estimate, tests: Sequence[Test], unsure: Array) -> Noise:
     """Return the level of noise that is not stated: from columns without motion, else from residuals.
+
+    ``unsure`` (c,) is the variance of the logarithm of each channel's noise, as it was estimated.
 
     Notes
     -----
-    Squares over the variance that f others show are f / (f - 2) in the mean (Fisher's F).
+    The weights of channels follow the noise of the columns that they were estimated from, whose squares are
+    smaller than those of others: with the leverage h, the logarithm of a channel's variance has the variance
+    v = 4 unsure / (1 - h), and others are larger by v in the mean (as those of Fisher's F, f / (f - 2), with
+    v = 2 / f). Over all channels, which keep 1 - h of their squares, v / 2 is one over degrees of freedom.
     """
     state = estimate.state
     energy, freedom = (float(part.sum()) for part in state.noise_energy)
@@ -41,10 +45,12 @@ def unknown_noise(estimate: Estimate, tests: Sequence[Test]) -> Noise:
         taken = (top.statistic, top.freedom) if top else (0.0, 0)
         energy += max(estimate.chi2 - taken[0], 0.0)
         freedom += max(state.freedom - taken[1], 1)
-    own = state.own_noise[1]
-    own = own[own > LEAST_FREEDOM]
-    larger = float(np.sum(own) / np.sum(own - 2.0)) if own.size else 1.0
-    return Noise(larger * max(energy, 1e-300) / max(freedom, 1.0), freedom)
+    kept = 1.0 - np.mean(state.leverage, axis=0)
+    whole = max(float(np.sum(kept)), 1.0)
+    larger = 1.0 + 4.0 * float(np.sum(unsure)) / whole
+    share = 2.0 * float(kept @ unsure) / whole**2
+    level = larger * max(energy, 1e-300) / max(freedom, 1.0)
+    return Noise(level, 1.0 / (1.0 / max(freedom, 1.0) + share))
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,14 @@ def test_files_without_fault_raise_few_alarms(stated, missing):
     assert alarms <= 3  # 1 % expected: more than 3 of 40 has a probability of 7e-4
 
 
+def test_few_channels_of_unknown_noise_raise_few_alarms():
+    """Their weights follow the noise that they are estimated from: that of the motion is larger."""
+    given = {"points": 4, "lines": 120, "noise_spread": (0.6, 1.6)}
+    firsts = [diagnosed(recorded(9000 + seed, **given), False)[2].first for seed in range(40)]
+    # 1 % expected, 20 % where this is left out
+    assert sum(first.log_whole < np.log(0.01) for first in firsts) <= 3
+
+
 def test_stated_errors_of_positions_are_expected():
     alarms = sum(
         bool(verdicts(diagnosed(recorded(200 + seed, points=6, position_sd_mm=0.03))[2]))
