@@ -62,13 +62,14 @@ def cut(study: StudyFile) -> None:
 
 def _mass(study: StudyFile, folder: Path, *, hand_work: bool) -> None:
     from ct_inertia.ct2mass import measure_mass
+    from pipeline.study import in_keys
 
     options = study.mass_options(hand_work=hand_work)
     with options.as_keys():
         result = measure_mass(options, _tell)
     result.write(folder, report=False)
     _keep_shown(result, folder)
-    _warn(result.notices)
+    _warn(in_keys(result.notices, type(options)))
 
 
 def _keep_shown(result: MassResult, folder: Path) -> None:
@@ -112,6 +113,7 @@ def points(study: StudyFile) -> None:
     """Lay the measurement into the scan, and look at every beam."""
     from kinematics.options import MotionOptions
     from kinematics.points2dof import measure_motion
+    from pipeline.study import in_keys
     from stapeskit.records.mass_file import read_mass_json
 
     folder = mass_folder(study)
@@ -119,7 +121,7 @@ def points(study: StudyFile) -> None:
     options = MotionOptions.from_study(study.tables.get("ldv", {}), study.path.name, study.path.parent)
     with options.as_keys():
         result = measure_motion(options, mass, _tell)
-    _warn(result.notices)
+    _warn(in_keys(result.notices, type(options)))
     _keep(study, "points", points_content(result))
 
 

@@ -16,11 +16,11 @@ from fitting.plane import usual_ratio
 from fitting.solve import MISFIT_P
 from fitting.uncertainty import effect_of
 from fitting.unknowns import UNKNOWNS
-from fitting.verdict import OF_MODEL, WEAK, Verdict, follow_from_misreading, judge, unused_codes
+from fitting.verdict import OF_MODEL, WEAK, Verdict, judge, unused_codes
 from stapeskit.arrays import Array
 from stapeskit.faults import list_some
 from stapeskit.report.quantities import MASS, plus_minus
-from stapeskit.warnings import Notice, is_among
+from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
     from fitting.result import KDFit
@@ -57,15 +57,9 @@ def verdict_of(fit: KDFit) -> Verdict:
 
 
 def result_notices(fit: KDFit) -> list[Notice]:
-    """Return every warning that a result deserves.
-
-    What follows from a motion that is misread is left out, but for properties of K and D, and unless the user
-    confirms the motion.
-    """
-    codes = {notice.code for notice in fit.notices if not is_among(notice.code, fit.confirmed)}
-    misread = follow_from_misreading(codes)
+    """Return every warning that a result deserves."""
     checks = (_model, _physics, _noise, _inputs, _plane, _weak, _plausibility)
-    return [notice for check in checks for notice in check(fit) if notice.code not in misread]
+    return [notice for check in checks for notice in check(fit)]
 
 
 def _relative_sds(fit: KDFit) -> dict[str, float]:

@@ -18,6 +18,7 @@ from fitting.mass import has_products, inertia_of, read_mass_csv, with_tensor_si
 from fitting.options import KDOptions
 from fitting.result import KDFit
 from fitting.suspicions import suspicions
+from fitting.verdict import follow_from_misreading
 from stapeskit.arrays import Array
 from stapeskit.command import no_progress
 from stapeskit.faults import StapeskitError
@@ -234,18 +235,21 @@ def fit_of(
     data = data_of(motion, inertia, options.dof, *bodies, options.band_hz, options.exclude_hz)
     raw = {} if source.record is None else source.record.raw
     try:
-        fit = fit_kd(data, inertia, options)
+        known = (*chain, *source.notices, *motion.notices, *suspicions(data, options.damping))
+        misread = follow_from_misreading(known, confirmed)
+        fit = fit_kd(data, inertia, options, causes="cause_found" not in misread)
         made_from = {**_measured_files(motion), "motion_provenance": dict(motion.provenance)}
         fit = replace(
             fit,
-            notices=(*chain, *source.notices, *motion.notices, *suspicions(data, options.damping)),
+            notices=known,
             provenance={**provenance, **made_from},
             outline_mm=_outline_of(raw),
             side=str((raw.get("frames") or {}).get("side") or ""),
             files=() if source.file is None else (source.file,),
             confirmed=tuple(confirmed),
         )
-        fit = replace(fit, notices=once([*fit.notices, *result_notices(fit)]))
+        more = (notice for notice in result_notices(fit) if notice.code not in misread)
+        fit = replace(fit, notices=once([*known, *more]))
     except np.linalg.LinAlgError:
         wanted = "of sizes from which stiffness and damping follow"
         got = "equations without a finite solution"

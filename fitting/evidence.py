@@ -237,8 +237,10 @@ def _refit(found: Fit, score: Score, explained: bool) -> Alternative | None:
 
 def _rough_covariance(found: Fit) -> Array:
     """Return the covariance of theta where noise of the regressor is no matter."""
-    inverse = np.linalg.inv(found.likelihood.information(found.theta))
-    return np.asarray(inverse * max(1.0, found.level) / max(found.noise, 1.0))
+    information = found.likelihood.information(found.theta)
+    size = np.sqrt(np.diag(information))
+    inverse = np.linalg.pinv(information / np.outer(size, size), rcond=1e-14, hermitian=True)
+    return np.asarray(inverse / np.outer(size, size) * max(1.0, found.level) / max(found.noise, 1.0))
 
 
 def _other_laws(found: Fit) -> list[Alternative]:

@@ -26,8 +26,13 @@ from stapeskit.faults import StapeskitError
 _LAW_ALIKE = 6.0  # difference of BIC within which another law is as likely: odds e^3
 
 
-def fit_kd(data: Data, inertia: Inertia, options: KDOptions) -> KDFit:
+def fit_kd(data: Data, inertia: Inertia, options: KDOptions, causes: bool = True) -> KDFit:
     """Fit stiffness and damping to scaled data.
+
+    Parameters
+    ----------
+    causes : bool
+        Whether further unknowns are searched for.
 
     Raises
     ------
@@ -42,14 +47,15 @@ def fit_kd(data: Data, inertia: Inertia, options: KDOptions) -> KDFit:
     robust = options.robust != "none"
     laws = _compare_laws(model, lambda own: fit(data, own, robust=robust)) if compared else {}
     found, alike = _likeliest(laws) if compared else (fit(data, model, robust=robust), ())
-    causes = Search()
+    looked = Search()
     left_out = options.inplane == IGNORE and data.loads_known
-    if not robust and not left_out:  # a load that is left out on purpose would be found under another name
-        causes = search(found, laws=not compared)
-        if options.evidence and _adopts(causes):
-            assert causes.best is not None  # noqa: S101
-            found = causes.best.found
-            causes = search(found, laws=not compared)
+    # a load that is left out on purpose would be found under another name
+    if causes and not robust and not left_out:
+        looked = search(found, laws=not compared)
+        if options.evidence and _adopts(looked):
+            assert looked.best is not None  # noqa: S101
+            found = looked.best.found
+            looked = search(found, laws=not compared)
     found = with_covariance(found)
     others = [law_alternative(found, laws[name]) for name in alike]
     return KDFit(
@@ -57,7 +63,7 @@ def fit_kd(data: Data, inertia: Inertia, options: KDOptions) -> KDFit:
         inertia,
         found,
         in_plane(found) if found.likelihood.model.coupling is not None else None,
-        replace(causes, alternatives=(*causes.alternatives, *others)),
+        replace(looked, alternatives=(*looked.alternatives, *others)),
         laws,
         alike,
         _at_the_limit(found),
@@ -141,15 +147,15 @@ def _likeliest(laws: Mapping[str, Fit]) -> tuple[Fit, tuple[str, ...]]:
     return laws[best], tuple(alike)
 
 
-def _adopts(causes: Search) -> bool:
+def _adopts(looked: Search) -> bool:
     """Return whether the data call for an unknown that some ears really have, such as fluid.
 
     Not where a damping law explains the data as well: the two are distinguished by nothing then.
     """
-    best = causes.best
+    best = looked.best
     if best is None or best.unknown is None or not best.unknown.adopt or best.value < 2.0 * best.sd:
         return False
-    return all(other.unknown is not None for other in causes.look_alikes)
+    return all(other.unknown is not None for other in looked.look_alikes)
 
 
 def _at_the_limit(found: Fit) -> tuple[str, ...]:

@@ -221,8 +221,8 @@ def fit(
     """
     if robust:
         theta, _ = _begin(data, model, start, noise)
-        found, factor = _robust(data, model, theta)
-        return found if rough else with_covariance(found, factor)
+        found, spread = _robust(data, model, theta)
+        return found if rough else with_covariance(found, spread)
     found = _settled(data, model, start, noise)
     if start is None and model.unknowns and not (found.converged and found.noise == 1.0):
         simpler = _settled(data, replace(model, unknowns=()))
@@ -271,7 +271,7 @@ def _settled(data: Data, model: Model, start: Array | None = None, noise: float 
 
 
 def _robust(data: Data, model: Model, theta: Array) -> tuple[Fit, float]:
-    """Return the fit with weights (nu + d) / (nu + squared distance), and a factor on variances."""
+    """Return the fit with weights (nu + d) / (nu + squared distance), and the noise of its covariance."""
     weights, used = np.ones(data.count), 0
     n_dof = degrees(Likelihood(data, model))
     for _ in range(12):
@@ -287,19 +287,32 @@ def _robust(data: Data, model: Model, theta: Array) -> tuple[Fit, float]:
             break
     likelihood = Likelihood(data, model, 1.0, weights)
     chi2 = float(np.sum(Likelihood(data, model).residuals(theta) ** 2))
-    # The information of Student's t is (nu + d) / (nu + d + 2) of that of the normal (Lange et al. 1989).
-    factor = (_STUDENT + 2 * likelihood.n + 2.0) / (_STUDENT + 2 * likelihood.n)
-    white = likelihood.look(theta)[0]
-    spread = float(np.sum(np.abs(white) ** 2) * 2.0 / (2 * likelihood.n * data.count))
-    return Fit(likelihood, theta, chi2, n_dof, used, converged), factor * max(spread, 1.0)
+    return Fit(likelihood, theta, chi2, n_dof, used, converged), _noise_by_weights(likelihood, theta)
 
 
-def with_covariance(found: Fit, factor: float | None = None) -> Fit:
-    """Add the covariance where it was left out, scaled by the noise that the misfit shows."""
+def _noise_by_weights(likelihood: Likelihood, theta: Array) -> float:
+    """Return the noise over that stated with which the weighted information is that of the robust estimate.
+
+    Of an estimate by psi = w r the variance is E[w^2 d] / n over E[w + 2 w' d / n]^2 times that of least
+    squares with the noise as stated, d the squared distance of n residuals (Huber and Ronchetti 2009, Robust
+    Statistics, ch. 8); the weighted information holds the mean weight too much.
+    """
+    weights, n = likelihood.weights, 2 * likelihood.n
+    assert weights is not None  # noqa: S101
+    square = 2.0 * weights * np.sum(np.abs(likelihood.look(theta)[0]) ** 2, axis=1)  # w^2 d
+    slope = np.mean(weights - 2.0 * square / (n * (_STUDENT + n)))
+    return float(max(np.mean(square) / n / slope**2, 1.0) * np.mean(weights))
+
+
+def with_covariance(found: Fit, noise: float | None = None) -> Fit:
+    """Add the covariance where it was left out, with the noise that the misfit shows, or another one."""
     if found.covariance.size:
         return found
-    factor = max(1.0, found.level) / found.noise if factor is None else factor
-    covariance, inverse = found.likelihood.covariance(found.theta, found.level)
+    own = found.likelihood
+    if noise is not None:  # the priors stay as they are
+        own = Likelihood(own.data, own.model, noise, own.weights)
+    factor = max(1.0, found.level) / found.noise if noise is None else 1.0
+    covariance, inverse = own.covariance(found.theta, found.level)
     return replace(found, covariance=factor * covariance, inverse=factor * inverse)
 
 

@@ -1,8 +1,9 @@
-"""Is the motion what its file says? Conjugated, reversed, exchanged, rotations in degrees: quick checks."""
+"""Is the motion what its file says? Conjugated, reversed, exchanged, in other units: quick fits."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc
@@ -11,11 +12,12 @@ from fitting.data import Data
 from fitting.likelihood import LOAD, PLAIN, Likelihood, Model
 from fitting.options import COMPARE
 from fitting.solve import MISFIT_P, best_start, degrees, minimise
+from stapeskit.arrays import Array
 from stapeskit.spatial import DOF_NAMES
 from stapeskit.warnings import Notice
 
-# Chi2 per degree of freedom of K, D >= 0 without shared errors from which another reading is tried, and the
-# share of it below which that reading is reported: a right reading explains a hundred times more.
+# Chi2 per degree of freedom of K, D >= 0 without shared errors from which every reading is tried, and the
+# share of it below which one is reported: a right reading explains a hundred times more.
 _BAD, _BETTER = 4.0, 0.2
 _DECISIVE = 50.0  # fall of chi2 from which one of two readings is sure: odds e^25
 # Geometric mean of rotation times 1 mm over displacement of both bodies: up to 2.2 for ears and shakers in
@@ -23,46 +25,89 @@ _DECISIVE = 50.0  # fall of chi2 from which one of two readings is sure: odds e^
 _DEGREES = 6.0
 
 
+@dataclass(frozen=True)
+class Reading:
+    """Another meaning of the same file."""
+
+    code: str
+    meaning: str
+    step: str
+    read: Callable[[Data], Data]
+    mild: bool = False  # tried in a small misfit too: an ear that hardly rocks hardly shows it
+
+
+def _times(data: Data, factor: Array) -> Data:
+    """Return the motion (lines, 2 m) times a factor (2 m,)."""
+    return replace(data, y=data.y * factor, covariance=data.covariance * np.outer(factor, factor))
+
+
+def _rotations(size: float) -> Callable[[Data], Data]:
+    """Multiply rotations; the size of the whole motion is of no matter."""
+
+    def read(data: Data) -> Data:
+        return _times(data, np.tile(np.where(_turning(data), size, 1.0), 2))
+
+    return read
+
+
+def _turning(data: Data) -> Array:
+    return np.array([name in DOF_NAMES[3:] for name in data.measured])
+
+
+def _exchanged(data: Data) -> Data:
+    order = np.roll(np.arange(2 * len(data.measured)), len(data.measured))
+    return replace(data, y=data.y[:, order], covariance=data.covariance[:, order][:, :, order])
+
+
+_READINGS = (
+    Reading(
+        "unit_slip", "Rotations look like degrees: in radians the motion fits", "Write them in radians",
+        _rotations(float(np.radians(1.0))), mild=True,
+    ),
+    Reading(
+        "unit_slip", "Rotations look like milliradians: in radians the motion fits",
+        "Write them in radians", _rotations(1e-3),
+    ),
+    Reading(
+        "unit_slip", "Displacements look like millimetres: in metres the motion fits",
+        "Write them in metres", _rotations(1e3),
+    ),
+    Reading(
+        "phase_convention",
+        "The phases look like those of amplitudes of e^{-iwt}: the conjugate motion fits",
+        "Conjugate the motion, or state the convention to points2dof",
+        lambda data: replace(data, y=data.y.conj(), covariance=data.covariance.conj()),
+    ),
+    Reading(
+        "phase_convention",
+        "Structure and base look read in opposite senses: the motion fits with one of them reversed",
+        "Reverse the sign of all readings of the body whose directions point the wrong way",
+        lambda data: _times(data, np.repeat([1.0, -1.0], len(data.measured))),
+    ),
+    Reading(
+        "bodies_exchanged", "Structure and base look exchanged: the motion fits with their names swapped",
+        "Exchange the names of the bodies, or --structure and --base", _exchanged,
+    ),
+)  # fmt: skip
+
+
 def suspicions(data: Data, law: str) -> list[Notice]:
-    """Return warnings about a motion that fits its equations only when it is read otherwise."""
-    notices = _degrees_by_size(data)
+    """Return a warning about a motion that fits its equations only when it is read otherwise."""
     model = Model(law if law != COMPARE else "viscous", LOAD if data.loads_known else PLAIN)
-    bare = data.without_errors()
-    own = _level(bare, model)
-    if not notices and own > 1.0:
-        notices = _degrees_by_fit(bare, model, own)
-    if notices or own < _BAD:
-        return notices
-    sign = np.repeat([1.0, -1.0], len(data.measured))
-    order = np.roll(np.arange(len(sign)), len(data.measured))
-    other = bare.covariance[:, order][:, :, order]
-    readings = (
-        (
-            "phase_convention",
-            replace(bare, y=bare.y.conj(), covariance=bare.covariance.conj()),
-            "The phases look like those of amplitudes of e^{-iwt}: the conjugate motion fits",
-            "Conjugate the motion, or state the convention to points2dof",
-        ),
-        (
-            "phase_convention",
-            replace(bare, y=bare.y * sign, covariance=bare.covariance * np.outer(sign, sign)),
-            "Structure and base look read in opposite senses: the motion fits with one of them reversed",
-            "Reverse the sign of all readings of the body whose directions point the wrong way",
-        ),
-        (
-            "bodies_exchanged",
-            replace(bare, y=bare.y[:, order], covariance=other),
-            "Structure and base look exchanged: the motion fits with their names swapped",
-            "Exchange the names of the bodies, or --structure and --base",
-        ),
-    )
-    level, code, meaning, step = min(
-        (_level(reading, model), code, meaning, step) for code, reading, meaning, step in readings
-    )
-    if level < _BETTER * own:
-        text = f"{meaning} with chi2 per degree of freedom {level:.3g} instead of {own:.3g}. {step}."
-        notices.append(Notice(code, text))
-    return notices
+    bare, mixed = data.without_errors(), 0 < np.sum(_turning(data)) < len(data.measured)
+    own, n_dof = _level(bare, model), degrees(Likelihood(bare, model))
+    tried = [
+        (_level(reading.read(bare), model), number, reading)
+        for number, reading in enumerate(_READINGS)
+        if (own >= _BAD or (reading.mild and own > 1.0)) and (mixed or reading.code != "unit_slip")
+    ]
+    for level, _, reading in sorted(tried)[:1]:
+        explained = chdtrc(n_dof, n_dof * level) > MISFIT_P > chdtrc(n_dof, n_dof * own)
+        sure = explained and n_dof * (own - level) > _DECISIVE
+        if sure or (own >= _BAD and level < _BETTER * own):
+            text = f"{reading.meaning} with chi2 per degree of freedom {level:.3g} instead of {own:.3g}"
+            return [Notice(reading.code, f"{text}. {reading.step}.")]
+    return _degrees_by_size(data) if mixed else []
 
 
 def _level(data: Data, model: Model) -> float:
@@ -75,28 +120,11 @@ def _level(data: Data, model: Model) -> float:
     return chi2 / max(degrees(likelihood), 1)
 
 
-def _degrees_by_fit(data: Data, model: Model, own: float) -> list[Notice]:
-    """Report rotations in degrees by the fit, which couples them to displacements."""
-    turned = np.array([name in DOF_NAMES[3:] for name in data.measured] * 2)
-    if np.all(turned) or not np.any(turned):
-        return []
-    scale = np.where(turned, np.radians(1.0), 1.0)
-    read = replace(data, y=data.y * scale, covariance=data.covariance * np.outer(scale, scale))
-    level, n_dof = _level(read, model), degrees(Likelihood(data, model))
-    explained = chdtrc(n_dof, n_dof * level) > MISFIT_P > chdtrc(n_dof, n_dof * own)
-    if not explained or n_dof * (own - level) < _DECISIVE:
-        return []
-    text = f"in radians the motion fits with chi2 per degree of freedom {level:.3g} instead of {own:.3g}"
-    return [Notice("unit_slip", f"Rotations look like degrees: {text}. Write them in radians.")]
-
-
 def _degrees_by_size(data: Data) -> list[Notice]:
-    turned = np.array([name in DOF_NAMES[3:] for name in data.measured])
-    if np.all(turned) or not np.any(turned):
-        return []
     size = (np.sqrt(np.mean(np.abs(data.y) ** 2, axis=0)) / np.tile(data.root_mass, 2)).reshape(2, -1)
-    moved = np.maximum(np.linalg.norm(size[:, ~turned], axis=1), 1e-300)
-    first, second = 1e-3 * np.linalg.norm(size[:, turned], axis=1) / moved
+    turning = _turning(data)
+    moved = np.maximum(np.linalg.norm(size[:, ~turning], axis=1), 1e-300)
+    first, second = 1e-3 * np.linalg.norm(size[:, turning], axis=1) / moved
     if np.sqrt(first * second) < _DEGREES:
         return []
     text = (

@@ -26,7 +26,8 @@ _OUTCOMES = (
     *WEAK,
 )  # fmt: skip
 # Causes with a name, the first of which counts, and what follows from each: of motion that is another than
-# its file says, everything; of one wrong reading or unknown, that the model does not hold.
+# its file says, or has a load that is left out, everything; of one wrong reading or unknown, that the model
+# does not hold.
 _CAUSES = {
     **dict.fromkeys(
         ("bodies_exchanged", "phase_convention", "unit_slip", "other_mass_file"),
@@ -39,6 +40,7 @@ _CAUSES = {
         ),
         OF_MODEL,
     ),
+    "inplane_neglected": (*_OUTCOMES, "cause_found", "fluid_found", "law_ambiguous"),
     "cause_found": (*OF_MODEL, *WEAK),
 }  # fmt: skip
 _CORRECTED = "corrected"  # what was wrong with single channels is out of the motion
@@ -80,8 +82,12 @@ class Verdict:
         return {**asdict(self), "sentence": self.sentence}
 
 
-def follow_from_misreading(codes: Iterable[str]) -> set[str]:
-    """Return the codes that say nothing more where the motion is not what its file says, given its codes."""
+def follow_from_misreading(notices: Iterable[Notice], confirmed: Sequence[str] = ()) -> set[str]:
+    """Return the codes that say nothing more where the motion is not what its file says.
+
+    None where the user confirms the motion; properties of K and D are always said.
+    """
+    codes = {notice.code for notice in notices if not is_among(notice.code, confirmed)}
     return {follows for code in codes if code in _MISREAD for follows in _CAUSES[code]} - _OF_RESULT
 
 

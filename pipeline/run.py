@@ -14,7 +14,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.study import Study, read_study
+from pipeline.study import Study, in_keys, read_study
 from stapeskit.command import no_progress
 from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
 from stapeskit.outputs import Outputs
@@ -208,7 +208,7 @@ def run_study(
     else:
         with study.scan.as_keys():
             mass = measure_mass(study.scan, progress)
-        mass = replace(mass, notices=study.scan.in_keys(mass.notices))
+        mass = replace(mass, notices=in_keys(mass.notices, type(study.scan)))
         with outputs["scan"].staged() as stage:
             mass.write_into(stage, report=False)
             for path in stage.iterdir():  # of ct2mass: surfaces and voxels that few have a use for here
@@ -219,6 +219,8 @@ def run_study(
 
     with study.ldv.as_keys():
         moved = measure_motion(study.ldv, measured, progress)
+    motion = replace(moved.motion, notices=in_keys(moved.notices, type(study.ldv)))
+    moved = replace(moved, motion=motion)
     tell(moved.notices)
     with outputs["motion"].staged() as stage:
         moved.write_into(stage, report=False)
@@ -229,6 +231,7 @@ def run_study(
     provenance = record(inputs, study.fit.given())
     with study.fit.as_keys():
         fit = fit_of(moved.motion, source, study.fit, provenance, "dof.h5", confirmed=study.about.confirmed)
+    fit = replace(fit, notices=in_keys(fit.notices, type(study.fit)))
     tell(fit.notices)
     with outputs["fit"].staged() as stage:
         fit.write_into(stage, report=False)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -14,7 +15,7 @@ from kinematics.options import MotionOptions
 from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
 from stapeskit.option_types import Number, ReadFile, Table, Text, Words
 from stapeskit.options import Opt, Options, read_toml, template
-from stapeskit.warnings import is_among
+from stapeskit.warnings import Notice, is_among
 from stapeskit.warnings import table as warning_table
 
 TITLE = """A study: one ear, from its scan and its vibrometer file to stiffness and damping.
@@ -139,6 +140,17 @@ def read_study(path: Path) -> Study:
     about = read["study"]
     scan = scan_of_ear(about, read["scan"], name)
     return Study(path.absolute(), about, scan, read["ldv"], read["fit"])
+
+
+def in_keys(notices: Iterable[Notice], own: type[Options]) -> tuple[Notice, ...]:
+    """Return warnings that name keys of a study in place of flags: of their own table, else of another."""
+    tables = (*TABLES.values(), own)  # the last one that has a flag names it
+    keys = {entry.flag: f"{table.table}.{entry.key}" for table in tables for entry in table.entries()}
+
+    def key(flag: re.Match[str]) -> str:
+        return keys.get(flag[0], flag[0])
+
+    return tuple(replace(one, text=re.sub(r"--[a-z-]+", key, one.text)) for one in notices)
 
 
 def scan_of_ear(about: About, scan: MassOptions, file: str) -> MassOptions:

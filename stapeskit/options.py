@@ -16,7 +16,7 @@ import difflib
 import inspect
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cache
@@ -37,7 +37,6 @@ from typing import (
 from stapeskit.documents import read_toml as read_toml
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.option_types import Kind, WithSd, number, one_of
-from stapeskit.warnings import Notice
 
 _UNIT = re.compile(r"_(mm|um|hz|kg_m3|percent|deg|us|db)$")
 _FUNCTION = TypeVar("_FUNCTION", bound=Callable[..., Any])
@@ -213,15 +212,6 @@ class Options:
         except StapeskitError as error:
             keys = {key: f"{cls.table}.{key}" for key in cls.key_names()}
             raise StapeskitError(*(cls._as_called(fault, keys) for fault in error.faults)) from error
-
-    @classmethod
-    def in_keys(cls, notices: Iterable[Notice]) -> tuple[Notice, ...]:
-        """Return warnings that name keys of a study in place of flags."""
-        keys = {entry.flag: f"{cls.table}.{entry.key}" for entry in cls.entries()}
-        return tuple(
-            replace(one, text=re.sub(r"--[a-z-]+", lambda flag: keys.get(flag[0], flag[0]), one.text))
-            for one in notices
-        )
 
     def given(self) -> dict[str, Any]:
         """Return what differs from its default, by key, as JSON has it: for the provenance of a result."""

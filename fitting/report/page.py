@@ -147,8 +147,8 @@ def _first_modes(fit: KDFit) -> list[Markup]:
         return []
     cells = [
         (
-            Quantity(mode.frequency_hz, float(derived.frequency_sd_hz[place]), HERTZ),
-            Quantity(mode.damping_ratio, float(derived.ratio_sd[place])),
+            Quantity(mode.frequency_hz, float(derived.frequency_sd_hz[place]), HERTZ, positive=True),
+            Quantity(mode.damping_ratio, float(derived.ratio_sd[place]), positive=True),
         )
         for place, mode in enumerate(pairs)
     ]
@@ -163,9 +163,9 @@ def _modes(fit: KDFit) -> list[Markup]:
     for place, mode in enumerate(fit.modes.pairs):
         shape = zip(np.abs(mode.shape), derived.shape_sd[place], strict=True)
         numbers = (
-            Quantity(mode.frequency_hz, float(derived.frequency_sd_hz[place])),
-            Quantity(mode.undamped_frequency_hz, float(derived.undamped_sd_hz[place])),
-            Quantity(mode.damping_ratio, float(derived.ratio_sd[place])),
+            Quantity(mode.frequency_hz, float(derived.frequency_sd_hz[place]), positive=True),
+            Quantity(mode.undamped_frequency_hz, float(derived.undamped_sd_hz[place]), positive=True),
+            Quantity(mode.damping_ratio, float(derived.ratio_sd[place]), positive=True),
         )
         rows.append((f"mode {place + 1}", *numbers, *(f"{size:.3g} ± {sd:.1g}" for size, sd in shape)))
     head = ("", "damped (Hz)", "undamped (Hz)", "damping ratio", *(f"|{name}|" for name in fit.dof))

@@ -8,7 +8,7 @@ import numpy as np
 
 from fitting.likelihood import LOAD, PLANE
 from fitting.ring import rim_of
-from stapeskit.report.quantities import diagonal_unit, plus_minus
+from stapeskit.report.quantities import HERTZ, Quantity, diagonal_unit, plus_minus
 
 if TYPE_CHECKING:
     from fitting.result import KDFit
@@ -23,13 +23,12 @@ def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
     for letter, values, sds in zip("KD", (fit.stiffness, fit.damping), fit.standard_deviation, strict=True):
         for place, name in enumerate(fit.dof):
             unit = diagonal_unit(letter, name, fit.law.time_power)
-            value, sd = float(values[place, place]), float(sds[place, place])
-            rows.append((f"{letter}({name})", determined(value, sd, unit.with_sd(value, sd))))
+            entry = Quantity(float(values[place, place]), float(sds[place, place]), unit, positive=True)
+            rows.append((f"{letter}({name})", str(entry)))
     derived = fit.derived
     for number, mode in enumerate(fit.modes.pairs):
-        sd, ratio = float(derived.frequency_sd_hz[number]), float(derived.ratio_sd[number])
-        frequency = determined(mode.frequency_hz, sd, f"{plus_minus(mode.frequency_hz, sd)} Hz")
-        damping = determined(mode.damping_ratio, ratio, plus_minus(mode.damping_ratio, ratio))
+        frequency = Quantity(mode.frequency_hz, float(derived.frequency_sd_hz[number]), HERTZ, positive=True)
+        damping = Quantity(mode.damping_ratio, float(derived.ratio_sd[number]), positive=True)
         rows.append((f"mode {number + 1}", f"{frequency}, damping ratio {damping}"))
     if not fit.modes.pairs:
         rows.append(("modes", "none oscillates"))
@@ -72,8 +71,3 @@ def inplane_words(fit: KDFit) -> str:
     if motion == LOAD:
         return "used as a known inertial load"
     return "not used"
-
-
-def determined(value: float, sd: float | None, text: str) -> str:
-    """Return the text of a value; one below its standard deviation is undetermined."""
-    return f"undetermined ({text})" if sd is not None and not sd <= abs(value) else text

@@ -129,18 +129,33 @@ _SHOWN = {
 class Quantity:
     """A cell of a table: an SI value, its sd where it is known, and the unit in which people see it.
 
-    ``interval_95`` are SI limits where they are not the value ± 1.96 standard deviations.
+    ``interval_95`` are SI limits where they are not the value ± 1.96 standard deviations. Of a value that
+    cannot be negative (``positive``) they are those of its logarithm; below its sd it is undetermined.
     """
 
     value: float
     sd: float | None = None
     unit: ShownUnit = PLAIN
     interval_95: tuple[float, float] | None = None
+    positive: bool = False
 
     def __str__(self) -> str:
+        """Return value, sd and unit.
+
+        Examples
+        --------
+        >>> str(Quantity(900.0, 950.0, HERTZ, positive=True)), str(Quantity(2.5e-3, None, LENGTH))
+        ('undetermined (900 ± 950 Hz)', '2.5 mm')
+        """
         if self.sd is None:
             return self.unit.text(self.value, ".4g")
-        return self.unit.with_sd(self.value, self.sd)
+        text = self.unit.with_sd(self.value, self.sd)
+        return f"undetermined ({text})" if self.undetermined else text
+
+    @property
+    def undetermined(self) -> bool:
+        """Whether a value that cannot be negative is below its standard deviation."""
+        return self.positive and self.sd is not None and not self.sd <= abs(self.value)
 
     @property
     def known_sd(self) -> bool:
@@ -149,10 +164,13 @@ class Quantity:
 
     @property
     def limits(self) -> tuple[float, float] | None:
-        """Limits of the 95 % interval in the shown unit; None without a standard deviation."""
-        ends = self.interval_95
-        if ends is None and self.sd is not None and math.isfinite(self.sd):
-            ends = self.value - HALF_WIDTH_95 * self.sd, self.value + HALF_WIDTH_95 * self.sd
+        """Limits of the 95 % interval in the shown unit; None without one, and where it is undetermined."""
+        ends, value = self.interval_95, self.value
+        if ends is None and self.sd is not None and math.isfinite(self.sd) and not self.undetermined:
+            ends = value - HALF_WIDTH_95 * self.sd, value + HALF_WIDTH_95 * self.sd
+            if self.positive and value > 0.0:
+                ratio = math.exp(HALF_WIDTH_95 * self.sd / value)
+                ends = value / ratio, value * ratio
         return None if ends is None else (self.unit.of(ends[0]), self.unit.of(ends[1]))
 
     @property

@@ -1,6 +1,7 @@
 """Noise-free data give K and D exactly; motion that is not what its file says is named."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -87,8 +88,9 @@ def reversed_base(motion):
     return replace(motion, q=motion.q * sign)
 
 
-def in_degrees(motion):
-    scale = np.where([name in ("alpha", "beta", "gamma") for name in motion.dof], np.degrees(1.0), 1.0)
+def in_degrees(motion, rotations=180.0 / np.pi, displacements=1.0):
+    turning = [name in ("alpha", "beta", "gamma") for name in motion.dof]
+    scale = np.where(turning, rotations, displacements)
     return replace(motion, q=motion.q * scale, covariance=motion.covariance * np.outer(scale, scale))
 
 
@@ -99,6 +101,8 @@ def in_degrees(motion):
         (exchanged, "bodies_exchanged"),
         (reversed_base, "phase_convention"),
         (in_degrees, "unit_slip"),
+        (partial(in_degrees, rotations=1e3), "unit_slip"),
+        (partial(in_degrees, rotations=1.0, displacements=1e3), "unit_slip"),
     ],
 )
 @pytest.mark.parametrize("estimator", ["ml", "pinv"])

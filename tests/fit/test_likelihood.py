@@ -9,7 +9,7 @@ from fitting import entries
 from fitting.data import data_of
 from fitting.likelihood import LOAD, PLAIN, Likelihood, Model
 from fitting.mass import inertia_of
-from fitting.plane import plane_model
+from fitting.plane import coupling_prior, plane_model
 from fitting.planned_motion import frame_maps
 from fitting.solve import bend
 from fitting.solve import fit as solve
@@ -28,6 +28,7 @@ from tests.fit.fit_cases import (
     deviation,
     exact_motion,
     fit,
+    full_mass,
     paper_motion,
     record,
     ring_ear,
@@ -223,6 +224,17 @@ def test_robust_weights_keep_sd_where_nothing_is_off_and_find_lines_that_are():
     spoiled = fit(replace(motion, q=q), M, robust="t4")
     assert np.abs(deviation(spoiled)).max() < 3.5
     assert any(notice.code == "outliers" for notice in spoiled.notices)
+
+
+def test_robust_weights_leave_what_is_known_beforehand_as_it_is():
+    """Without motion in the plane, part of the ligament's plane is its prior: weights once widened it too."""
+    freq, q = exact_motion(60)
+    covariance = np.broadcast_to(np.diag([1e-22] * 3 + [1e-16] * 3), (*q.shape, 6)).astype(complex)
+    robust = fit(record(freq, q, covariance), full_mass(), robust="t4")
+    known = coupling_prior(robust.found.data).covariance
+    at = robust.found.at["coupling"]
+    ratio = np.diag(robust.found.covariance[at, at]) / np.diag(known)
+    assert np.max(ratio) == pytest.approx(1.0, abs=0.01)
 
 
 def test_noise_level_comes_from_above_where_noise_is_understated():

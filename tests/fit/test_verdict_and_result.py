@@ -13,8 +13,10 @@ from fitting.montecarlo import scatter
 from fitting.plan import Plan, expect, stated_mass
 from fitting.planned_motion import planned_motion
 from fitting.report.figures import footplate_figure, responses
+from fitting.report.page import _modes
 from fitting.verdict import judge, unused_codes
 from stapeskit.records.mass_matrix import MassMatrix
+from stapeskit.report.quantities import HERTZ, Quantity
 from stapeskit.spatial import matrix_from_parameters
 from stapeskit.warnings import Notice
 from tests.fit.fit_cases import DOF, D, M, codes, fit, paper_motion, ring_ear
@@ -52,6 +54,9 @@ def test_reasons_are_by_weight_and_causes_come_before_what_they_make():
     assert [reason.follows_from for reason in channel.reasons] == ["", "channel_sign"]
     corrected = judge([Notice("misfit", ""), Notice("channel_sign", ""), Notice("corrected", "")])
     assert not any(reason.follows_from for reason in corrected.reasons)
+    neglected = judge([*listed, Notice("inplane_neglected", "")])
+    assert neglected.sentence == "do not use: inplane_neglected"
+    assert all(reason.follows_from == "inplane_neglected" for reason in neglected.reasons[1:])
     alone = judge([Notice("misfit", ""), Notice("cause_found", "")])
     assert alone.level == "check"
     assert [reason.code for reason in alone.reasons] == ["cause_found", "misfit"]
@@ -163,6 +168,16 @@ def test_weak_data_are_called_undetermined():
     assert result.verdict.level == "do not use"
     assert "undetermined" in {reason.code for reason in result.verdict.reasons}
     assert any("undetermined" in text for _, text in result.summary())
+
+
+def test_no_interval_of_a_mode_reaches_below_zero():
+    low, high = Quantity(500.0, 300.0, HERTZ, positive=True).limits
+    assert low > 0.0
+    assert low * high == pytest.approx(500.0**2)
+    assert Quantity(500.0, 900.0, HERTZ, positive=True).limits is None
+    page_text = str(_modes(fit(paper_motion(1.5, 3, 20)[0], M))[0])
+    assert "95 % interval -" not in page_text
+    assert "undetermined" in page_text
 
 
 def test_damping_below_its_standard_deviation_is_a_reason_to_check():

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
+from ct_inertia.options import MassOptions
+from kinematics.options import MotionOptions
 from pipeline.report import study_page, summary_rows, write_figures
 from pipeline.run import FILES, StudyResult, check_study, run_study, scan2kd
-from pipeline.study import read_study
+from pipeline.study import TABLES, in_keys, read_study
 from simulate import Truth
 from stapeskit.faults import StapeskitError
 from stapeskit.outputs import MANIFEST
@@ -137,9 +140,15 @@ def test_faults_of_a_study_name_its_keys(small: tuple[Path, Truth], tmp_path: Pa
 
 def test_warnings_of_a_study_name_its_keys(finished: StudyResult) -> None:
     """The scan's warnings advise a coat: in a study that is a key of its table."""
+    flags = {entry.flag for table in TABLES.values() for entry in table.entries()}
+    for notice in finished.notices:
+        assert not flags & set(re.findall(r"--[a-z-]+", notice.text))
     texts = {notice.code: notice.text for notice in finished.notices}
     assert "scan.coat_um" in texts["bare_bone_assumed"]
-    assert not any("--coat" in notice.text for notice in finished.notices)
+    ambiguous = Notice("x", "--mirror, --damping and --inplane load; --force")
+    own = [in_keys([ambiguous], table)[0].text for table in (MassOptions, MotionOptions)]
+    keys = "fit.damping and fit.inplane load; --force"
+    assert own == [f"scan.mirror, {keys}", f"ldv.mirror, {keys}"]
 
 
 def test_a_mesh_without_a_plate_is_refused_before_it_is_measured(
