@@ -113,7 +113,13 @@ def _noise(fit: KDFit) -> Iterator[Notice]:
             f"{np.sqrt(max(found.level, 1.0)):.3g}, which does not cover a wrong model."
         )
         yield Notice("misfit", text)
-    judged = found.n_dof > 0 and found.weights is None and not found.data.floored
+    wider = found.data.widened
+    if wider > 1.0:
+        text = (
+            "The noise of neighbouring lines is alike, as with a window wider than a line or after smoothing:"
+        )
+        yield Notice("noise_alike", f"{text} its standard deviation was widened by {np.sqrt(wider):.2g}.")
+    judged = found.n_dof > 0 and found.weights is None and not found.data.floored and wider == 1.0
     if judged and chdtr(found.n_dof, found.chi2) < MISFIT_P:
         yield Notice("noise_level", f"Residuals are smaller than their stated noise: {level}.")
     far = outlying_hz(fit)
@@ -262,9 +268,10 @@ def _plausibility(fit: KDFit) -> Iterator[Notice]:
             f"The piston stiffness {value:.4g} N/m lies outside the published {PISTON_RANGE[0]:g} to "
             f"{PISTON_RANGE[1]:g} N/m of human annular ligaments."
         )
-        slow = value / (2.0 * np.pi) ** 2
-        if _within(slow, PISTON_RANGE) and value > 3.0 * PISTON_RANGE[1]:
-            text += f" It would be {slow:.4g} N/m if freq_hz held angular frequencies (rad/s): check that."
+        for factor, unit in ((2.0 * np.pi, "angular frequencies (rad/s)"), (1e-3, "kHz")):
+            other = value / factor**2
+            if _within(other, PISTON_RANGE) and abs(np.log(value / other)) > np.log(10.0):
+                text += f" It would be {other:.4g} N/m if freq_hz held {unit}: check that."
         yield Notice("implausible_stiffness", text)
     for name in (name for name in ("alpha", "gamma") if name in fit.dof):
         other = fit.dof.index(name)

@@ -11,7 +11,6 @@ from stapeskit.command import Outcome, progress_line, run
 
 if TYPE_CHECKING:
     from fitting.options import KDFiles, KDOptions
-    from fitting.result import KDFit
 
 _TEXT = "Stiffness and damping of the annular ligament from motion (points2dof) and mass (ct2mass)."
 _EXAMPLES = """examples:
@@ -66,20 +65,11 @@ def _fit(options: KDOptions, files: KDFiles) -> Outcome:
         progress("drawing the page")
         with outputs.staged() as folder:
             write_into(fit, folder, out.name, files.export)
-        drawn = _save_figures(fit, files.figures) if files.figures is not None else []
     rows = list(fit.summary())
     if files.mass is None:
         rows.append(("mass", f"{mass_file} (found next to the motion)"))
     content = fit.content() if files.as_json else {}
-    written = (*outputs.paths(), *drawn)
-    return Outcome(fit.title, rows, fit.notices, written, content, files.as_json, files.quiet)
-
-
-def _save_figures(fit: KDFit, folder: Path) -> list[Path]:
-    from fitting.report.figures import all_figures
-    from stapeskit.report.figures import save_figures
-
-    return save_figures("dof2kd figures", all_figures(fit), folder)
+    return Outcome(fit.title, rows, fit.notices, outputs.paths(), content, files.as_json, files.quiet)
 
 
 def _plan(files: KDFiles) -> Outcome:

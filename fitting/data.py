@@ -49,6 +49,7 @@ class Data:
     mass_known: tuple[str, ...]  # degrees of freedom of the mass matrix
     dropped: int = 0  # lines that were left out because a value is missing
     floored: bool = False  # whether the stated noise was raised to the digits that files keep
+    widened: float = 1.0  # by how much the stated noise was raised since that of neighbouring lines is alike
 
     @property
     def omega(self) -> Array:

@@ -17,7 +17,7 @@ from fitting.mass import Inertia
 from fitting.options import COMPARE, IGNORE, LOADED, KDOptions
 from fitting.plane import applies, in_plane, plane_model
 from fitting.result import KDFit
-from fitting.solve import Fit, bic, fit, with_covariance
+from fitting.solve import Fit, alike_lines, bic, fit, with_covariance
 from fitting.textbook import estimate
 from fitting.uncertainty import weak_spread
 from fitting.unknowns import UNKNOWNS
@@ -45,8 +45,15 @@ def fit_kd(data: Data, inertia: Inertia, options: KDOptions, causes: bool = True
     if options.estimator != "ml":
         return _by_textbook(data, model, inertia, options)
     robust = options.robust != "none"
-    laws = _compare_laws(model, lambda own: fit(data, own, robust=robust)) if compared else {}
-    found, alike = _likeliest(laws) if compared else (fit(data, model, robust=robust), ())
+
+    def fitted(data: Data) -> tuple[Fit, tuple[str, ...], Mapping[str, Fit]]:
+        laws = _compare_laws(model, lambda own: fit(data, own, robust=robust)) if compared else {}
+        return *(_likeliest(laws) if compared else (fit(data, model, robust=robust), ())), laws
+
+    found, alike, laws = fitted(data)
+    wider = alike_lines(found) if found.explained else 1.0
+    if wider > 1.0:
+        found, alike, laws = fitted(replace(data, covariance=wider * data.covariance, widened=wider))
     looked = Search()
     left_out = options.inplane == IGNORE and data.loads_known
     # a load that is left out on purpose would be found under another name

@@ -13,7 +13,6 @@ from stapeskit.option_types import (
     CountOrZero,
     DofList,
     Flag,
-    Folder,
     Range,
     Ranges,
     ReadFile,
@@ -223,7 +222,6 @@ class KDFiles(Options):
     )
     out: Annotated[JsonFile | None, Opt("default kd.json; plan.json with --plan")] = None
     export: Annotated[Words, Opt("further files: fe, prior", example=["fe", "prior"])] = ()
-    figures: Annotated[Folder | None, Opt("folder for every figure as PDF and SVG", example="figures")] = None
     force: Annotated[Flag, Opt("replace files that this command did not write; use another mass.json")] = (
         False
     )

@@ -19,6 +19,9 @@ from stapeskit.warnings import Notice
 # Chi2 per degree of freedom of K, D >= 0 without shared errors from which every reading is tried, and the
 # share of it below which one is reported: a right reading explains a hundred times more.
 _BAD, _BETTER = 4.0, 0.2
+_UNITS = (
+    25.0  # what shared errors leave of chi2 per degree of freedom in the right units; outliers leave more
+)
 _DECISIVE = 50.0  # fall of chi2 from which one of two readings is sure: odds e^25
 # Geometric mean of rotation times 1 mm over displacement of both bodies: up to 2.2 for ears and shakers in
 # radians (rocking at resonance 5, base rocking 1), in degrees 57 times as much of 0.15 or more.
@@ -104,7 +107,8 @@ def suspicions(data: Data, law: str) -> list[Notice]:
     for level, _, reading in sorted(tried)[:1]:
         explained = chdtrc(n_dof, n_dof * level) > MISFIT_P > chdtrc(n_dof, n_dof * own)
         sure = explained and n_dof * (own - level) > _DECISIVE
-        if sure or (own >= _BAD and level < _BETTER * own):
+        most = min(_BETTER * own, _UNITS if reading.code == "unit_slip" else np.inf)
+        if sure or (own >= _BAD and level < most):
             text = f"{reading.meaning} with chi2 per degree of freedom {level:.3g} instead of {own:.3g}"
             return [Notice(reading.code, f"{text}. {reading.step}.")]
     return _degrees_by_size(data) if mixed else []

@@ -1,7 +1,4 @@
-"""Two ears, or two states of one ear: responses over each other, differences with their p-values.
-
-Here the files of ``stapeskit compare`` are written, also those of its --what-if (`pipeline.what_if`).
-"""
+"""Two ears, or two states of one ear: responses over each other, differences with their p-values."""
 
 from __future__ import annotations
 
@@ -13,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.cohort.ears import Ear, Quantity, quantities, read_ears
-from pipeline.what_if import Effect, what_if_page, what_if_table
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.records.rigid_motion import RigidMotion
@@ -165,10 +161,8 @@ def compare_page(comparison: Comparison) -> Page:
     return made
 
 
-def write_comparison(
-    found: Comparison | Sequence[Effect], out: Path, inputs: Sequence[Path], force: bool = False
-) -> list[Path]:
-    """Write a page and a numeric table: compare.html and .csv, or what_if.html and .csv of changes.
+def write_comparison(found: Comparison, out: Path, inputs: Sequence[Path], force: bool = False) -> list[Path]:
+    """Write compare.html and a numeric table, compare.csv.
 
     Raises
     ------
@@ -177,12 +171,8 @@ def write_comparison(
     """
     from stapeskit.outputs import Outputs
 
-    if isinstance(found, Comparison):
-        name, made, table = "compare", compare_page(found), found.to_frame()
-    else:
-        name, made, table = "what_if", what_if_page(found), what_if_table(found)
-    outputs = Outputs(f"stapeskit compare {name}", out, (f"{name}.html", f"{name}.csv"), inputs, force)
+    outputs = Outputs("stapeskit compare", out, ("compare.html", "compare.csv"), inputs, force)
     with outputs.staged() as stage:
-        made.write(stage / f"{name}.html")
-        table.to_csv(stage / f"{name}.csv", index=False, lineterminator="\n")
+        compare_page(found).write(stage / "compare.html")
+        found.to_frame().to_csv(stage / "compare.csv", index=False, lineterminator="\n")
     return list(outputs.paths())

@@ -119,7 +119,7 @@ def _compare(words: list[str]) -> Outcome:
     """Compare two results, or predict the effect of changes on one or both."""
     from pipeline.command_options import CompareOptions
     from pipeline.compare import compare, read_folders, write_comparison
-    from pipeline.what_if import SENTENCE, effect, read_change
+    from pipeline.what_if import SENTENCE, effect_rows, read_change
     from stapeskit.command_line import parse
 
     text = "Two results side by side, or what a change would do to one or both."
@@ -137,10 +137,8 @@ def _compare(words: list[str]) -> Outcome:
             for name, first, second, change, p in found.rows()
         ]
     if changes:
-        read = list(zip(read_folders(folders), folders, strict=True))
-        effects = [effect(ear, folder, change) for ear, folder in read for change in changes]
-        files += write_comparison(effects, chosen.out, inputs, chosen.force)
-        rows += [(f"{one.name}, {place}", text) for one in effects for place, text in one.rows()]
+        for ear, folder in zip(read_folders(folders), folders, strict=True):
+            rows += [row for change in changes for row in effect_rows(ear, folder, change)]
         rows.append(("mind", SENTENCE))
     return Outcome("results side by side", rows, (), files)
 

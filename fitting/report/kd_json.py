@@ -253,7 +253,7 @@ def _fit(fit: KDFit) -> dict[str, Any]:
         "chi2_per_dof": found.chi2 / found.n_dof if found.n_dof > 0 else None,
         "iterations": found.evaluations,
         "active_constraints": fit.active,
-        "noise_covariance_scaled_by": max(1.0, found.level),
+        "noise_covariance_scaled_by": found.data.widened * max(1.0, found.level),
     }
     if fit.bias is not None:
         content["estimated_bias_si"] = _named(fit, fit.bias * entry_scale(found))

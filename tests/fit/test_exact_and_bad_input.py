@@ -160,6 +160,22 @@ def test_an_unstable_result_is_called_so_beside_its_cause(spoil):
     assert ("not_passive" in codes(result)) is not all(result.passive)
 
 
+def test_lines_far_off_are_outliers_and_no_other_unit():
+    ear = ring_ear(2, lines=60)
+    q = ear.motion.q.copy()
+    q[:, 0, [7, 21, 40]] *= 10.0
+    found = codes(fit(replace(ear.motion, q=q), ear.mass, robust="t4"))
+    assert "outliers" in found
+    assert "unit_slip" not in found
+
+
+def test_frequencies_in_other_units_are_named_where_the_stiffness_tells():
+    motion, _ = paper_motion(0.02, 1, 40)
+    for factor, unit in ((2.0 * np.pi, "rad/s"), (1e-3, "kHz")):
+        result = fit(replace(motion, freq_hz=factor * motion.freq_hz), M)
+        assert any(unit in one.text for one in result.notices if one.code == "implausible_stiffness")
+
+
 def test_sign_of_products_of_inertia_is_stated_or_assumed_aloud():
     motion, _ = paper_motion(0.01, 2)
     other = M.copy()

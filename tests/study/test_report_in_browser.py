@@ -14,10 +14,9 @@ from playwright import sync_api
 from ct_inertia.report.sections import mass_page
 from fitting.report.page import kd_page
 from kinematics.report.page import motion_page
-from pipeline.compare import compare, compare_page, read_folders
+from pipeline.compare import compare, compare_page
 from pipeline.report import study_page
 from pipeline.run import StudyResult
-from pipeline.what_if import effect, read_change, what_if_page
 from tests.app.driven import CHROMIUM
 
 pytestmark = [pytest.mark.browser, pytest.mark.filterwarnings("ignore")]
@@ -37,7 +36,6 @@ def pages(finished: StudyResult, tmp_path_factory: pytest.TempPathFactory) -> di
         "dof": motion_page(finished.moved),
         "kd": kd_page(finished.fit),
         "compare": compare_page(compare(finished.out, again)),
-        "what_if": what_if_page([effect(read_folders([again])[0], again, read_change("K*10"))]),
     }
     for name, one in made.items():
         one.write(folder / f"{name}.html")
@@ -66,7 +64,7 @@ def unfold(tab: Any) -> None:
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize("name", ["report", "mass", "dof", "kd", "compare", "what_if"])
+@pytest.mark.parametrize("name", ["report", "mass", "dof", "kd", "compare"])
 def test_nothing_is_cut_and_axe_core_finds_nothing(
     tab: Any, pages: dict[str, Path], name: str, width: int
 ) -> None:
