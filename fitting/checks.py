@@ -6,14 +6,13 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import chdtr, chdtri
+from scipy.special import chdtri
 
 from fitting import entries
 from fitting.bands import SIGNIFICANT_P
 from fitting.evidence import most_moved_by_load
 from fitting.options import IGNORE
 from fitting.plane import usual_ratio
-from fitting.solve import MISFIT_P
 from fitting.uncertainty import effect_of
 from fitting.unknowns import UNKNOWNS
 from fitting.verdict import OF_MODEL, WEAK, Verdict, judge, unused_codes
@@ -119,8 +118,7 @@ def _noise(fit: KDFit) -> Iterator[Notice]:
             "The noise of neighbouring lines is alike, as with a window wider than a line or after smoothing:"
         )
         yield Notice("noise_alike", f"{text} its standard deviation was widened by {np.sqrt(wider):.2g}.")
-    judged = found.n_dof > 0 and found.weights is None and not found.data.floored and wider == 1.0
-    if judged and chdtr(found.n_dof, found.chi2) < MISFIT_P:
+    if found.quiet and found.weights is None and not found.data.floored and wider == 1.0:
         yield Notice("noise_level", f"Residuals are smaller than their stated noise: {level}.")
     far = outlying_hz(fit)
     if len(far):

@@ -255,6 +255,9 @@ def _check_sizes(
         got, step = f"{size[line, column]:.3g} {unit}", "Correct this line, or leave it out by --exclude"
         faults.append(Fault(thing, wanted, got, f"{freq_hz[line]:.6g} Hz", step))
     others = [m + row for row in rows]
+    if len(np.unique(q, axis=0)) < len(q):
+        step = "Leave copies of runs and lines out: they would count as measured again"
+        faults.append(Fault("the motion of a line", "that of no other line", "copies", "", step))
     moved, deflected = (np.linalg.norm(part, axis=0) for part in (q[:, rows], q[:, rows] - q[:, others]))
     still = [motion.dof[row] for row, a, b in zip(rows, moved, deflected, strict=True) if b <= _AS_ONE * a]
     if still:

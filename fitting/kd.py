@@ -51,7 +51,7 @@ def fit_kd(data: Data, inertia: Inertia, options: KDOptions, causes: bool = True
         return *(_likeliest(laws) if compared else (fit(data, model, robust=robust), ())), laws
 
     found, alike, laws = fitted(data)
-    wider = alike_lines(found) if found.explained else 1.0
+    wider = alike_lines(found)
     if wider > 1.0:
         found, alike, laws = fitted(replace(data, covariance=wider * data.covariance, widened=wider))
     looked = Search()

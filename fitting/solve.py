@@ -78,6 +78,13 @@ class Fit:
         return self.weights is not None or self.p_value > MISFIT_P
 
     @property
+    def quiet(self) -> bool:
+        """Whether residuals are smaller than their stated noise."""
+        from scipy.special import chdtr
+
+        return self.n_dof > 0 and float(chdtr(self.n_dof, self.chi2)) < MISFIT_P
+
+    @property
     def law(self) -> DampingLaw:
         """The damping law, SI."""
         values = self.theta[self.at["law"]]
@@ -350,10 +357,11 @@ def alike_lines(found: Fit) -> float:
 
     Neighbouring lines of a spectrum have noise in common where its window is wider than a line (Hann: 0.67
     and 0.17 with the next two) or where it was smoothed. A misfit is alike over many lines: what far lines
-    have in common is subtracted. The variance of a mean is 1 + 2 (r_1 + r_2 + ...) times as large.
+    have in common is subtracted. The variance of a mean is 1 + 2 (r_1 + r_2 + ...) times as large. It is 1
+    where residuals are no noise as stated: in a misfit, and where they are smaller.
     """
     white, run = found.likelihood.look(found.theta)[0], found.data.run
-    if len(white) < 2 * _FAR[-1] or found.weights is not None:
+    if len(white) < 2 * _FAR[-1] or found.weights is not None or found.quiet or not found.explained:
         return 1.0
     size = np.mean(np.abs(white) ** 2)
 

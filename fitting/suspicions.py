@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from fitting.data import Data
@@ -53,7 +54,7 @@ def _rotations(size: float) -> Callable[[Data], Data]:
     return read
 
 
-def _turning(data: Data) -> Array:
+def _turning(data: Data) -> NDArray[np.bool_]:
     return np.array([name in DOF_NAMES[3:] for name in data.measured])
 
 
@@ -64,12 +65,13 @@ def _exchanged(data: Data) -> Data:
 
 _READINGS = (
     Reading(
-        "unit_slip", "Rotations look like degrees: in radians the motion fits", "Write them in radians",
+        "unit_slip", "Rotations look like degrees: in radians the motion fits",
+        "Write them in radians, and M in SI units",
         _rotations(float(np.radians(1.0))), mild=True,
     ),
     Reading(
         "unit_slip", "Rotations look like milliradians: in radians the motion fits",
-        "Write them in radians", _rotations(1e-3),
+        "Write them in radians, and M in SI units", _rotations(1e-3),
     ),
     Reading(
         "unit_slip", "Displacements look like millimetres: in metres the motion fits",

@@ -5,7 +5,6 @@ Everything is drawn from results; nothing of a page is stored. Sections come fro
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 
 from pipeline.methods import methods
 from stapeskit.report import page
-from stapeskit.report.quantities import MASS, diagonal_unit
+from stapeskit.report.quantities import MASS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -51,8 +50,6 @@ def study_page(result: StudyResult) -> page.Page:
     add_sections(made, result.mass, result.pictured)
     motion_sections(made, result.moved)
     add_fit(fit, made)
-    if study.about.truth is not None:
-        made.section("A simulated ear: true and found", truth_table(result, study.about.truth))
     made.section("Warnings", page.notices(result.notices, study.about.confirmed))
     inputs = (page.inputs(each) for each in _provenances(result))
     made.appendix_section("Methods and inputs", page.text(methods(result)), *inputs)
@@ -92,25 +89,6 @@ def moving_stapes(result: StudyResult) -> Scene:
         caption="The stapes with the modes of the fit, and the measured motion, enlarged; colours of points "
         "are their verdicts.",
     )
-
-
-def truth_table(result: StudyResult, path: Path) -> Any:
-    """Compare the true values of a simulated ear with those that were found."""
-    truth = json.loads(path.read_text(encoding="utf-8"))
-    fit = result.fit
-    rows = [("mass", MASS.text(float(truth["mass_kg"]), ".4g"), _mass_text(result.mass))]
-    true_dof = list(truth.get("dof", ()))
-    for letter, key, values, sds in (
-        ("K", "stiffness_si", fit.stiffness, fit.standard_deviation[0]),
-        ("D", "damping_si", fit.damping, fit.standard_deviation[1]),
-    ):
-        for place, name in enumerate(fit.dof):
-            if name in true_dof:
-                at = true_dof.index(name)
-                unit = diagonal_unit(letter, name, fit.law.time_power)
-                found = unit.with_sd(float(values[place, place]), float(sds[place, place]))
-                rows.append((f"{letter}({name})", unit.text(float(truth[key][at][at]), ".4g"), found))
-    return page.table(("", "true", "found"), rows, words=True)
 
 
 def write_figures(result: StudyResult, folder: Path, force: bool = False) -> list[Path]:

@@ -13,7 +13,7 @@ from ct_inertia.options import MassOptions
 from fitting.options import KDOptions
 from kinematics.options import MotionOptions
 from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
-from stapeskit.option_types import Number, ReadFile, Table, Text, Words
+from stapeskit.option_types import Number, Table, Text, Words
 from stapeskit.options import Opt, Options, read_toml, template
 from stapeskit.warnings import Notice, is_among
 from stapeskit.warnings import table as warning_table
@@ -45,9 +45,6 @@ class About(Options):
     group: Annotated[Text, Opt("group of the ear in a cohort", example="control")] = ""
     covariates: Annotated[
         Table | None, Opt("any further columns of a cohort", example={"storage_days": 3.0})
-    ] = None
-    truth: Annotated[
-        ReadFile | None, Opt("true values of a simulated ear, shown in the report", example="truth.json")
     ] = None
 
     def of_ear(self) -> dict[str, Any]:

@@ -183,7 +183,7 @@ def simulate_study(
     truth = simulate_truth(ear, scan)
     state = "Incus removed" if ear.incus_gap_mm is None else "Incus attached"
     notes = f"{_REAL if ear.stapes.family == 'openear' else _MADE} {state}, cochlea open."
-    heading = {"name": name, "notes": notes, "truth": "truth.json", **(about or {})}
+    heading = {"name": name, "notes": notes, **(about or {})}
     tables: dict[str, dict[str, Any]] = {"study": heading, "scan": {}}
     if scan.format:
         tables["scan"] = {"file": write_scan(folder, truth.placed, scan).name}

@@ -169,6 +169,13 @@ def test_lines_far_off_are_outliers_and_no_other_unit():
     assert "unit_slip" not in found
 
 
+def test_a_run_that_is_a_copy_of_another_is_refused():
+    motion, _ = paper_motion(0.02, 1, 40)
+    with pytest.raises(StapeskitError) as raised:
+        fit(record(motion.freq_hz, motion.q.repeat(2, 0), motion.covariance.repeat(2, 0), DOF), M)
+    assert "copies" in raised.value.faults[0].got
+
+
 def test_frequencies_in_other_units_are_named_where_the_stiffness_tells():
     motion, _ = paper_motion(0.02, 1, 40)
     for factor, unit in ((2.0 * np.pi, "rad/s"), (1e-3, "kHz")):
