@@ -14,7 +14,7 @@ from pipeline.cohort.compatible import cohort_faults, reasons_to_exclude, shared
 from pipeline.cohort.components import Components
 from pipeline.cohort.ears import Ear, read_ears, unique_names
 from pipeline.cohort.law import PowerLaw
-from pipeline.cohort.laws import LEAST_EARS, components_of, fit_laws, unresolved
+from pipeline.cohort.laws import LEAST_EARS, components_of, fit_laws, unlike_others, unresolved
 from pipeline.cohort.logs import LogTable, full_name, log_table
 from pipeline.cohort.predict import Prediction, Predictor
 from stapeskit.faults import StapeskitError, raise_all
@@ -277,7 +277,8 @@ def cohort_of(
         return Cohort(tuple(ears), excluded, notices=tuple(notices))
     table = log_table(used)
     fitted = fit_laws(table, laws)
-    notices += [*table.notices, *unresolved(fitted)]
+    own = [names[ear.folder] for ear in used]
+    notices += [*table.notices, *unresolved(fitted), *unlike_others(fitted, table, own)]
     return Cohort(tuple(ears), excluded, table, fitted, components_of(table), once(notices))
 
 

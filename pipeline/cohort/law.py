@@ -244,11 +244,11 @@ class PowerLaw:
         tau^2 / (tau^2 + s^2) with s^2 the median variance of the errors of ln x: near 0, x is not resolved.
     pairs : LogPairs
         The ears that it is fitted to.
+    left_out, left_out_p : ndarray, (n,)
+        ln of each response less what the ears of all other persons predict, and the p-value of an ear that is
+        like them; NaN where they are too few.
     response, predictor, family : str
         Names of y and x; ``primary`` (planned) or ``exploratory``.
-    prediction_error : float
-        Root mean square of ln of each response less what the ears of all other persons predict; NaN where
-        they are too few.
     """
 
     n: int
@@ -265,8 +265,15 @@ class PowerLaw:
     response: str = ""
     predictor: str = ""
     family: str = "exploratory"
-    prediction_error: float = float("nan")
+    left_out: Array = field(default_factory=lambda: np.zeros(0), repr=False, compare=False)
+    left_out_p: Array = field(default_factory=lambda: np.zeros(0), repr=False, compare=False)
     q_value: float = float("nan")
+
+    @property
+    def prediction_error(self) -> float:
+        """Root mean square of what is left out; NaN where the ears are too few."""
+        known = self.left_out[np.isfinite(self.left_out)]
+        return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
 
     @property
     def unbounded(self) -> bool:

@@ -22,6 +22,7 @@ PRIMARY = (
 """Planned before any data: what a ligament of one material and one shape would follow."""
 # More planned laws would cost the family its power.
 _MOST_PLANNED = 6
+_UNLIKE_P = 0.01  # probability that any ear of a cohort is called unlike the others by chance
 LEAST_EARS = 5
 """A law has four unknowns besides the mean of x: with five ears one degree of freedom more than none."""
 
@@ -85,14 +86,14 @@ def _fitted(table: LogTable, response: str, predictor: str, planned: bool) -> Po
     if min(float(np.ptp(pairs.x)), float(np.ptp(pairs.y))) < 1e-9:
         return None
     law, profile = fit_law(pairs)
-    errors = left_out(pairs, profile)
-    known = errors[np.isfinite(errors)]
+    errors, p_values = left_out(pairs, profile)
     return replace(
         law,
         response=response,
         predictor=predictor,
         family="primary" if planned else "exploratory",
-        prediction_error=float(np.sqrt(np.mean(known**2))) if len(known) else float("nan"),
+        left_out=errors,
+        left_out_p=p_values,
     )
 
 
@@ -114,3 +115,20 @@ def unresolved(laws: Sequence[PowerLaw]) -> list[Notice]:
         "not surely larger than its error."
     )
     return [Notice("cohort_too_small", text)] if names else []
+
+
+def unlike_others(laws: Sequence[PowerLaw], table: LogTable, names: Sequence[str]) -> list[Notice]:
+    """Return a warning about ears that follow no planned law of the other ears."""
+    planned, found = [law for law in laws if law.family == "primary"], dict[str, str]()
+    for law in planned:
+        ears = np.flatnonzero(np.isfinite(table.values[:, table.columns(law.response, law.predictor)]).all(1))
+        for ear, error, p in zip(ears, law.left_out, law.left_out_p, strict=True):
+            if p * law.n * len(planned) < _UNLIKE_P:
+                text = (
+                    f"{law.response} is {np.exp(error):.2g} times what {law.predictor} of the others predicts"
+                )
+                found.setdefault(names[ear], text)
+    listed = "; ".join(f"{name} ({text})" for name, text in found.items())
+    return (
+        [Notice("ear_unlike_others", f"Unlike the other ears: {listed}. It is in the laws.")] if found else []
+    )

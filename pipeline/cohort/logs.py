@@ -87,9 +87,13 @@ class LogTable:
         """Return the column of a quantity."""
         return (*self.predictors, *self.responses).index(name)
 
+    def columns(self, response: str, predictor: str) -> list[int]:
+        """Return the columns of a predictor and a response."""
+        return [self.column(predictor), self.column(response)]
+
     def pairs(self, response: str, predictor: str) -> LogPairs:
         """Return predictor and response of the ears that have both."""
-        columns = [self.column(predictor), self.column(response)]
+        columns = self.columns(response, predictor)
         keep = np.all(np.isfinite(self.values[:, columns]), axis=1)
         x, y = self.values[keep][:, columns].T
         own, shared = self.own[keep][:, columns][:, :, columns], self.shared[keep][:, columns]

@@ -119,7 +119,7 @@ def _grid(profile: Profile) -> tuple[Array, Array]:
     return points, volume
 
 
-def left_out(pairs: LogPairs, profile: Profile) -> Array:
+def left_out(pairs: LogPairs, profile: Profile) -> tuple[Array, Array]:
     """Predict every ear from the ears of all other persons.
 
     Parameters
@@ -131,9 +131,14 @@ def left_out(pairs: LogPairs, profile: Profile) -> Array:
     -------
     errors : ndarray, (n,)
         ln y less its prediction; NaN where the others are too few.
+    p_values : ndarray, (n,)
+        Of such an error, two-sided, where the ear is one like the others (externally studentised residual:
+        Cook and Weisberg 1982, section 2.2.1).
     """
+    from scipy.special import stdtr
+
     centred = pairs.shifted(float(pairs.x.mean()), float(pairs.y.mean()))
-    errors = np.full(pairs.n, np.nan)
+    errors, p_values = np.full(pairs.n, np.nan), np.full(pairs.n, np.nan)
     for subject in np.unique(pairs.subject):
         out = centred.subject == subject
         rest = centred.select(~out)
@@ -141,9 +146,12 @@ def left_out(pairs: LogPairs, profile: Profile) -> Array:
             continue
         near = profile.best if len(np.unique(rest.subject)) < rest.n else profile.best[:3]
         fitted = Profile(rest, near)
-        _, means, _ = fitted.likelihood.means(fitted.best)
+        _, means, covariance = fitted.likelihood.means(fitted.best)
         psi = covariance_between_ears(fitted.best[None])[0]
         ear, (mean_x, mean_y) = centred.select(out), means[0]
         gain = psi[0, 1] / (psi[0, 0] + ear.own[:, 0, 0])
         errors[out] = ear.y - mean_y - gain * (ear.x - mean_x)
-    return errors
+        across = np.stack([-gain, np.ones_like(gain)], axis=1)
+        variance = np.einsum("ni,nij,nj->n", across, psi + covariance[0] + ear.own, across)
+        p_values[out] = 2.0 * stdtr(rest.degrees, -np.abs(errors[out]) / np.sqrt(variance))
+    return errors, p_values

@@ -82,6 +82,18 @@ def test_an_ear_not_to_be_used_enters_no_law_unless_asked(ears):
     assert cohort_of(marked, use_all=True).law("K11", "mass").n == len(ears)
 
 
+def test_an_ear_that_follows_no_law_of_the_others_is_named(ears, laws):
+    """A mass in grams, as a wrong unit makes it, moves the exponent of a whole cohort."""
+    assert "ear_unlike_others" not in {notice.code for notice in laws.notices}
+    record = ears[4].mass["inertial_parameters"]
+    mass = {**ears[4].mass, "mass_kg": 1e3 * ears[4].mass["mass_kg"]}
+    mass["inertial_parameters"] = {name: (1e3 * np.array(part)).tolist() if name == "values_si" else part
+                                   for name, part in record.items()}  # fmt: skip
+    found = cohort_of([*ears[:4], replace(ears[4], mass=mass), *ears[5:]])
+    texts = [notice.text for notice in found.notices if notice.code == "ear_unlike_others"]
+    assert [("ear 4" in text, "ear 5" in text) for text in texts] == [(True, False)]
+
+
 def test_ears_of_one_body_of_one_scan_are_named(ears):
     scan = {"provenance": {"inputs": {"scan": {"hash": "abc"}}}}
     twice = [replace(ear, mass={**ear.mass, **scan}) for ear in ears[:2]]
