@@ -122,7 +122,7 @@ def unlike_others(laws: Sequence[PowerLaw], table: LogTable, names: Sequence[str
     planned, found = [law for law in laws if law.family == "primary"], dict[str, str]()
     for law in planned:
         ears = np.flatnonzero(np.isfinite(table.values[:, table.columns(law.response, law.predictor)]).all(1))
-        for ear, error, p in zip(ears, law.left_out, law.left_out_p, strict=True):
+        for ear, error, p in zip(ears.tolist(), law.left_out, law.left_out_p, strict=True):
             if p * law.n * len(planned) < _UNLIKE_P:
                 text = (
                     f"{law.response} is {np.exp(error):.2g} times what {law.predictor} of the others predicts"
