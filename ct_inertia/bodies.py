@@ -176,11 +176,6 @@ class BodySurface:
         blur back); a voxel's width for labels.
     spread_mm2 : ndarray, (3, 3)
         Covariance, in scan axes, of what edges are seen through: blur, smoothing, interpolation.
-    noise_mm4 : float
-        Spectral density of the height noise at long waves: the mean height over an area A mm2 has the
-        variance ``noise_mm4 / A``.
-    correlation_mm : float
-        Length over which the noise of the height is common.
     misfit_sd_mm : ndarray of float32, [z, y, x]
         Standard deviation of the height by place that the misfit of the scene leaves, common over
         ``misfit_mm``; 0 where the scene fits to the noise.
@@ -196,38 +191,22 @@ class BodySurface:
     scan_from_index: Array
     blur_mm: float
     spread_mm2: Array
-    noise_mm4: float
-    correlation_mm: float
     misfit_sd_mm: Grey
     misfit_mm: float
     level_sd_mm: float
     one_sd: Grey | None = None
 
+    @property
+    def resolution_mm(self) -> float:
+        """Width of what edges are seen through, root mean square of its directions."""
+        return float(np.sqrt(np.trace(self.spread_mm2) / 3.0))
 
-@dataclass(frozen=True)
-class BorderContact:
-    """A border of the scan at which the stapes goes on: an outermost layer, or the rim of the field of view.
-
-    Attributes
-    ----------
-    axis : str
-        ``x``, ``y`` or ``z``, across the layer; empty at the rim of a field of view.
-    end : str
-        ``first`` or ``last`` layer of voxels along that axis; empty at the rim.
-    area_mm2 : float
-        Of the body there.
-    centre_mm : ndarray, (3,)
-        Its middle, scan coordinates.
-    """
-
-    axis: str
-    end: str
-    area_mm2: float
-    centre_mm: Array
-
-    def __str__(self) -> str:
-        place = f"the {self.end} layer along {self.axis}" if self.axis else "the rim of the field of view"
-        return f"{place} ({self.area_mm2:.2g} mm2)"
+    def misfit_at(self, points_mm: Array) -> Array:
+        """Return the standard deviation of the height by misfit (n,), mm, at points (n, 3)."""
+        back = np.linalg.inv(self.scan_from_index)
+        index = np.rint(points_mm @ back[:3, :3].T + back[:3, 3]).astype(int)[:, ::-1]
+        z, y, x = np.clip(index, 0, np.array(self.misfit_sd_mm.shape) - 1).T
+        return np.asarray(self.misfit_sd_mm[z, y, x], dtype=float)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -242,12 +221,12 @@ class Scene:
         Their standard uncertainties; that of bone is without that of air.
     bone_from : str
         How the stapes' level was found: ``interior`` (voxels deep inside) or ``fit``.
-    spread_mm2 : ndarray, (3, 3)
-        Covariance of the blur in scan axes, voxel included.
-    noise, correlation : float
-        Standard deviation of one voxel in air; variance of sums of noise over that of white noise.
-    body : ndarray of float32, [z, y, x]
-        Share of each voxel of the box that the sharp stapes fills.
+    sigma_mm : float
+        Width of the blur, root mean square of its three directions, voxel included.
+    noise : float
+        Standard deviation of one voxel in air.
+    even : Moments
+        Those of the fitted body if all of its bone were alike, without covariance.
     media : mapping of str to float
         What else was fitted: ``soft``, ``void``, ``coat_mm``, as shares of the stapes' contrast.
     """
@@ -257,16 +236,10 @@ class Scene:
     air_sd: float
     bone_sd: float
     bone_from: str
-    spread_mm2: Array
+    sigma_mm: float
     noise: float
-    correlation: float
-    body: Grey
+    even: Moments
     media: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def sigma_mm(self) -> float:
-        """Width of the blur, root mean square of its three directions."""
-        return float(np.sqrt(np.trace(self.spread_mm2) / 3.0))
 
 
 @dataclass(frozen=True)

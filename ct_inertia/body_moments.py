@@ -73,6 +73,18 @@ class Moments:
         """Inertia tensor about the centroid per unit density, (3, 3): trace(S) 1 - S."""
         return np.asarray(np.trace(self.second_mm5) * np.eye(3) - self.second_mm5)
 
+    def sensitivity(self, points_mm: Array, sigma_mm: float = 0.0) -> Array:
+        """Return d(V, c, S) per mm3 added at points (n, 3), as a blur of some width shows it, (n, 10)."""
+        away = points_mm - self.centroid_mm
+        square = away[:, _UPPER[0]] * away[:, _UPPER[1]]
+        square[:, :3] -= sigma_mm**2
+        return np.column_stack([np.ones(len(away)), away / self.volume_mm3, square])
+
+    def with_lump(self, name: str, point_mm: Array, volume_mm3: float) -> Moments:
+        """Return the moments with one more source: a volume that may be missing about a point (3,)."""
+        step = volume_mm3 * self.sensitivity(point_mm[None])[0]
+        return self.with_source(name, np.outer(step, step))
+
     def vector(self) -> Array:
         """Return (V, cx, cy, cz, Sxx, Syy, Szz, Sxy, Syz, Sxz), (10,), in powers of mm."""
         return np.array([self.volume_mm3, *self.centroid_mm, *self.second_mm5[_UPPER]])

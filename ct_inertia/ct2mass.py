@@ -5,7 +5,7 @@ One way for all: open -> find, or take labels -> measure the grey values -> surf
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from importlib import import_module
@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ct_inertia.bodies import BodySurface, Labelled, MeasuredBody, Moments
+from ct_inertia.bodies import Labelled, MeasuredBody, Moments
 from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.anatomy import AnatomyHints
 from ct_inertia.frames.footplate import FootplateFrame, footplate_frame, pose_near
-from ct_inertia.frames.footplate_sd import EXACT, SurfaceError
-from ct_inertia.frames.plate_frame import PlateFrame, facing, plate_frame
+from ct_inertia.frames.plate_frame import PlateFrame, plate_frame
 from ct_inertia.inputs import Inputs
 from ct_inertia.mass.properties import point_masses
 from ct_inertia.mass.sizes import impossible, measured_sizes, size_notice, unsuitable, unusual_notice
@@ -43,7 +42,6 @@ if TYPE_CHECKING:
     from stapeskit.command import Progress
 
 _PLATE_SHIFT = calibrated("plate_frame.level_shift")
-_CALM_VOXELS = float(np.sqrt(2.0)) * calibrated("scene.most_smoothing_voxels")
 
 _HEAVY = ("pyvista", "scipy.special", "scipy.sparse.linalg", "scipy.spatial")
 """Libraries whose import takes most of a second."""
@@ -122,16 +120,17 @@ def _measured(options: MassOptions, progress: Progress, inputs: Inputs) -> MassR
     work = _small_inputs(options)
     if options.is_mesh:
         progress("reading the mesh")
-        body, frame_surface, error, moments = _mesh(work)
+        body, moments = _mesh(work)
+        surface = body
     else:
         measured = _measured_body(work, progress, inputs)
         progress("finding the frames")
         moments = measured.moments
-        frame_surface, error = _frame_surface(measured)
+        surface = contour(measured.surface.field, measured.surface.scan_from_index)
         body = moment_matched(measured.surface.field, moments, measured.surface.scan_from_index)
-    footplate = _footplate(work, frame_surface, error, moments)
+    footplate = _footplate(work, surface, moments)
     pose = _plate_frame(work, moments)
-    gap = None if work.measured is None else _gap(work.measured, footplate, frame_surface, error)
+    gap = None if work.measured is None else _gap(work.measured, footplate, surface)
     progress("computing the mass matrix")
     ways = _ways(work, moments, footplate)
     sizes = measured_sizes(ways[0].body.volume_m3, ways[0].body.density_kg_m3, footplate)
@@ -176,7 +175,7 @@ def _small_inputs(options: MassOptions) -> _Work:
     return _Work(options, AnatomyHints(anterior, landmarks, options.side), fiducials, calibration)
 
 
-def _mesh(work: _Work) -> tuple[Surface, Surface, SurfaceError, Moments]:
+def _mesh(work: _Work) -> tuple[Surface, Moments]:
     """Read a closed mesh of the stapes, which is taken as exact."""
     from ct_inertia.mass.sizes import check_mesh
     from ct_inertia.surface.repair import read_mesh
@@ -185,7 +184,8 @@ def _mesh(work: _Work) -> tuple[Surface, Surface, SurfaceError, Moments]:
     mesh = read_mesh(path, work.options.close)
     check_mesh(mesh, path.name)
     exact = (
-        "The input is a surface: it is taken as exact; the budget holds density or mass and the frame only."
+        "The input is a surface: it is taken as exact; the budget holds density or mass, the frame, and what "
+        "closed holes may lack only."
     )
     turned = (
         f"Nothing in {path.name} confirms that the slices of its scan were in right-handed order: if not, "
@@ -196,7 +196,7 @@ def _mesh(work: _Work) -> tuple[Surface, Surface, SurfaceError, Moments]:
         Notice("grey_values_missing", exact),
         Notice("handedness_unconfirmed", turned),
     ]
-    return mesh, mesh, EXACT, mesh.moments()
+    return mesh, mesh.moments()
 
 
 def _measured_body(work: _Work, progress: Progress, inputs: Inputs) -> MeasuredBody:
@@ -270,47 +270,16 @@ def _add_files(inputs: Inputs, role: str, scan: Scan) -> None:
             inputs.add(f"{role} {number}", path)
 
 
-def _frame_surface(measured: MeasuredBody) -> tuple[Surface, SurfaceError]:
-    """Return the surface of the fitted body, and how it errs."""
-    body = measured.surface
-    surface = contour(body.field, body.scan_from_index)
-    misfit = body.misfit_sd_mm
-    # The level of a surface follows a wide average, the grey values that pass it only their own smoothing.
-    finest = _CALM_VOXELS * float(np.mean(measured.labelled.box.spacing_mm))
-    return surface, SurfaceError(
-        fitted=True,
-        blur_mm=body.blur_mm,
-        spread_mm2=body.spread_mm2,
-        noise_mm4=body.noise_mm4,
-        correlation_mm=min(body.correlation_mm, finest),
-        misfit_sd_mm=_sampled(body) if misfit.any() else None,
-        misfit_mm=body.misfit_mm,
-        level_sd_mm=body.level_sd_mm,
-    )
-
-
-def _sampled(body: BodySurface) -> Callable[[Array], Array]:
-    """Return a function of scan points (n, 3), mm, that gives the sd of the surface by misfit there."""
-    back = np.linalg.inv(body.scan_from_index)
-    last = np.array(body.misfit_sd_mm.shape) - 1
-
-    def at(points: Array) -> Array:
-        index = np.rint(points @ back[:3, :3].T + back[:3, 3]).astype(int)[:, ::-1]
-        z, y, x = np.clip(index, 0, last).T
-        return np.asarray(body.misfit_sd_mm[z, y, x], dtype=float)
-
-    return at
-
-
-def _footplate(work: _Work, surface: Surface, error: SurfaceError, moments: Moments) -> FootplateFrame:
+def _footplate(work: _Work, surface: Surface, moments: Moments) -> FootplateFrame:
     """Find the footplate; a body that cannot be a stapes is refused unless somebody named it."""
     named = work.measured is None or work.measured.labelled.named
+    body = None if work.measured is None else work.measured.surface
     try:
-        footplate = footplate_frame(surface, work.hints, error)
+        footplate = footplate_frame(surface, work.hints, body)
     except StapeskitError:
         # Where the body is wrong, correct landmarks do not fit it: report the body first.
         if not named:
-            plain = footplate_frame(surface, None, error)
+            plain = footplate_frame(surface, None, body)
             reasons = impossible(measured_sizes(moments.volume_m3, 1.0, plain))
             if reasons:
                 raise unsuitable(reasons, work.notices) from None
@@ -319,10 +288,9 @@ def _footplate(work: _Work, surface: Surface, error: SurfaceError, moments: Mome
     if reasons and not named:
         raise unsuitable(reasons, work.notices)
     work.notices += [size_notice(reasons)] if reasons else []
-    body = None if work.measured is None else work.measured.surface
     if body is not None and body.one_sd is not None:
         other = contour(body.one_sd, body.scan_from_index)
-        footplate = footplate.with_other_surface(pose_near(other, footplate, error.blur_mm))
+        footplate = footplate.with_other_surface(pose_near(other, footplate, body))
     return footplate
 
 
@@ -334,24 +302,23 @@ def _plate_frame(work: _Work, moments: Moments) -> PlateFrame | None:
         return plate_frame_from_fiducials(work.fiducials, moments.centroid_mm)
     if work.measured is None:
         return None
-    labelled, faces = work.measured.labelled, work.measured.plate_faces
+    labelled, plate = work.measured.labelled, work.measured.plate
     region, text = labelled.plate_region, "No plate was found beside the stapes"
-    named = region is not None and region.named
-    if work.measured.plate is not None and (named or facing(faces, moments.centroid_mm)):
+    if plate is not None:
         cell = 0.0 if region is None else float(np.linalg.norm(region.scan_from_index[:3, 0]))
-        if region is not None and region.one_of_several:
-            several = (
-                "The scan holds several bodies of plastic; the one nearest to the stapes was taken for the "
-                "plate. If it is another one, label it (--labels) or give --plate-fiducials."
-            )
-            work.notices.append(Notice("plate_axis_ambiguous", several))
-        return plate_frame(faces, moments.centroid_mm, _PLATE_SHIFT * cell)
-    if work.measured.plate is not None:
-        text = (
-            "The plastic beside the stapes has no plane face towards it, as a tube or a holder has none, and "
-            "counts as no plate"
-        )
-        work.measured = replace(work.measured, plate=None)
+        pose = plate_frame(work.measured.plate_faces, moments.centroid_mm, _PLATE_SHIFT * cell)
+        if pose is not None:
+            if region is not None and region.one_of_several:
+                several = (
+                    "The scan holds several bodies of plastic; the one nearest to the stapes was taken for "
+                    "the plate. If it is another one, label it (--labels) or give --plate-fiducials."
+                )
+                work.notices.append(Notice("plate_axis_ambiguous", several))
+            return pose
+        text = "The plastic beside the stapes has no plane face towards it, as a tube or a holder has none"
+        if region is None or not region.named:
+            text += ", and counts as no plate"
+            work.measured = replace(work.measured, plate=None)
     text += (
         ": there is no plate frame, and no mass matrix in its axes. If the scan holds a plate, give "
         "--plate-fiducials, or label it (--labels)."
@@ -360,15 +327,13 @@ def _plate_frame(work: _Work, moments: Moments) -> PlateFrame | None:
     return None
 
 
-def _gap(
-    measured: MeasuredBody, footplate: FootplateFrame, surface: Surface, error: SurfaceError
-) -> WindowGap | None:
+def _gap(measured: MeasuredBody, footplate: FootplateFrame, surface: Surface) -> WindowGap | None:
     if measured.wall is None or not np.any(measured.wall.field > 0.0):
         return None
     from ct_inertia.frames.gap import window_gap
 
     wall = contour(measured.wall.field, measured.wall.scan_from_index, largest=False)
-    return window_gap(footplate, surface, wall, error.resolution_mm, measured.wall.level_sd_mm)
+    return window_gap(footplate, surface, wall, measured.surface.resolution_mm, measured.wall.level_sd_mm)
 
 
 def _ways(work: _Work, moments: Moments, footplate: FootplateFrame) -> tuple[MassByWay, ...]:

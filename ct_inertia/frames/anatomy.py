@@ -70,16 +70,9 @@ class AnatomyHints:
             )
 
 
-@dataclass(frozen=True)
-class Orientation:
-    """The sign of the long axis: +1 when the given axis points anterior; what decided; warnings."""
-
-    sign: float
-    evidence: str
-    notices: tuple[Notice, ...] = ()
-
-
-def orient_long_axis(hints: AnatomyHints, origin_mm: Array, x_axis: Array, y_axis: Array) -> Orientation:
+def orient_long_axis(
+    hints: AnatomyHints, origin_mm: Array, x_axis: Array, y_axis: Array
+) -> tuple[float, str, list[Notice]]:
     """Choose the sign of the long axis that points anterior.
 
     Parameters
@@ -89,6 +82,14 @@ def orient_long_axis(hints: AnatomyHints, origin_mm: Array, x_axis: Array, y_axi
         Footplate centre, scan coordinates.
     x_axis, y_axis : ndarray, (3,)
         Long axis of either sign, and the piston direction (lateral), unit vectors in scan axes.
+
+    Returns
+    -------
+    sign : float
+        +1 when the given axis points anterior.
+    evidence : str
+        What decided.
+    notices : list of Notice
 
     Raises
     ------
@@ -107,14 +108,14 @@ def orient_long_axis(hints: AnatomyHints, origin_mm: Array, x_axis: Array, y_axi
             "Nothing says where anterior is: +x of the footplate frame is the sense of its long axis with "
             "the positive component along scan x (ties: y, z). Give --anterior or an anterior landmark."
         )
-        return Orientation(_scan_sign(x_axis), NO_HINT, (*notices, Notice("anterior_not_given", text)))
+        return _scan_sign(x_axis), NO_HINT, [*notices, Notice("anterior_not_given", text)]
     if len({sign for sign, _ in votes}) > 1:
         statements = "; ".join(f"{name} says {'+' if sign > 0 else '-'}" for sign, name in votes)
         step = "Correct the wrong one; a wrong --side or a mirrored scan (--mirror) can do this"
         expected = "of one mind about which end of the footplate is anterior"
         raise StapeskitError.of("the anatomical hints", expected, statements, next_step=step)
     notices += [Notice("file_read", str(fault)) for fault in unused]
-    return Orientation(votes[0][0], ", ".join(name for _, name in votes), tuple(notices))
+    return votes[0][0], ", ".join(name for _, name in votes), notices
 
 
 def _scan_sign(axis: Array) -> float:

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ct_inertia.frames.plate_frame import AMBIGUOUS, PlateFrame, positive_sense
+from ct_inertia.frames.plate_frame import PlateFrame, axis_notices, positive_sense
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.frames import RigidTransform, axes_matrix
 from stapeskit.registration import fit_rigid
 from stapeskit.tables import read_table
-from stapeskit.warnings import Notice
 
 _SCAN = ("x_mm", "y_mm", "z_mm")
 _PLATE = ("x_ref_mm", "y_ref_mm", "z_ref_mm")
@@ -129,18 +128,7 @@ def _from_corners(fiducials: PlateFiducials, stapes_mm: Array) -> PlateFrame:
     longest = sides[int(np.argmax(lengths))]
     frame = axes_matrix(positive_sense(longest - (longest @ normal) * normal), normal)
     square = np.abs(sides @ longest) < 0.7 * lengths * lengths.max()
-    listed = ", ".join(f"{value:+.3f}" for value in frame[:, 0])
-    text = (
-        "x of the plate frame is the longest side between the --plate-fiducials in the sense with the "
-        f"positive component along scan x, [{listed}] in scan axes."
-    )
-    notices = [Notice("plate_axis_sign", text)]
-    if np.max(lengths[square], initial=0.0) > AMBIGUOUS * lengths.max():
-        text = (
-            "Two sides between the --plate-fiducials are nearly equally long: which of them is x is "
-            "ambiguous. Give their x_ref_mm, y_ref_mm, z_ref_mm."
-        )
-        notices.append(Notice("plate_axis_ambiguous", text))
+    ratio = float(np.max(lengths[square], initial=0.0) / lengths.max())
     transform = RigidTransform.from_parts(frame, centre, "scan", "plate")
     local = transform.inverse().points(points)
     sd = fiducials.sd_mm
@@ -148,4 +136,5 @@ def _from_corners(fiducials: PlateFiducials, stapes_mm: Array) -> PlateFrame:
         scatter = float(np.sqrt(np.sum(local[:, 1] ** 2) / max(len(local) - 3, 1)))
         sd = np.full(len(local), max(scatter, _LEAST_SD_MM))
     fit = fit_rigid(local, points, sd, to="scan", source="plate")
-    return PlateFrame(transform, fit.covariance_si, ring, False, "fiducials", tuple(notices))
+    notices = tuple(axis_notices(frame[:, 0], ratio))
+    return PlateFrame(transform, fit.covariance_si, ring, False, "fiducials", notices)

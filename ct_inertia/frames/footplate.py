@@ -7,10 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ct_inertia.bodies import BodySurface
 from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.anatomy import AnatomyHints, check_head, contradiction, orient_long_axis
 from ct_inertia.frames.footplate_face import Solved, solve_at
-from ct_inertia.frames.footplate_sd import EXACT, SurfaceError, contributions_of
+from ct_inertia.frames.footplate_sd import contributions_of
 from ct_inertia.surface.surface import Surface
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
@@ -18,9 +19,7 @@ from stapeskit.frames import RigidTransform
 from stapeskit.registration import displacement
 from stapeskit.warnings import Notice
 
-_DIRECTIONS = 300  # over the sphere: 12 degrees apart
-_FINE_DIRECTIONS, _NEAR_DEG = 1200, 10.0  # 6 degrees apart, within 10 degrees of the best of the first
-_REFINED = 3  # faces whose direction is refined: the footplate and two rivals
+_DIRECTIONS = 1200  # over the sphere: 6 degrees apart
 _CELL = 0.02  # edge of the cells that pool triangles, in diameters of the body: a quarter of the face's slab
 _CONE_DEG = calibrated("footplate.search_cone_deg")
 _SLAB = calibrated("footplate.search_slab")
@@ -75,7 +74,7 @@ class FootplateFrame:
 
 
 def footplate_frame(
-    surface: Surface, hints: AnatomyHints | None = None, error: SurfaceError = EXACT
+    surface: Surface, hints: AnatomyHints | None = None, body: BodySurface | None = None
 ) -> FootplateFrame:
     """Find the footplate frame on the surface of a stapes.
 
@@ -84,8 +83,8 @@ def footplate_frame(
     surface : Surface
     hints : AnatomyHints, optional
         Where anterior is; without them the sign of x is arbitrary but fixed, and a notice says so.
-    error : SurfaceError
-        How the surface errs.
+    body : BodySurface, optional
+        How the surface errs; None: a mesh of which nothing is known but its triangles.
 
     Raises
     ------
@@ -93,12 +92,12 @@ def footplate_frame(
         No near-planar face at an extremity; hints that contradict each other or the surface.
     """
     hints = hints or AnatomyHints()
-    solved, anterior_from, notices = _solve(surface, hints, error.blur_mm)
+    solved, anterior_from, notices = _solve(surface, hints, body)
     frame = _frame_of(solved)
     outline = frame.inverse().points(solved.face.outline + solved.region.middle)
     return FootplateFrame(
         scan_from_footplate=frame,
-        contributions=contributions_of(solved, error),
+        contributions=contributions_of(solved, body),
         outline_mm=outline,
         face_area_mm2=solved.face.area,
         face_rms_mm=solved.face.rms(solved.axes[:, 1]),
@@ -110,10 +109,10 @@ def footplate_frame(
     )
 
 
-def pose_near(surface: Surface, near: FootplateFrame, blur_mm: float) -> RigidTransform:
+def pose_near(surface: Surface, near: FootplateFrame, body: BodySurface) -> RigidTransform:
     """Return the frame of a slightly different surface, its axes in the sense of another frame's."""
     axes = near.scan_from_footplate.rotation
-    solved = solve_at(surface, -axes[:, 1], _extent(surface), blur_mm)
+    solved = solve_at(surface, -axes[:, 1], _extent(surface), body)
     return _frame_of(solved.turned(float(np.sign(solved.axes[:, 0] @ axes[:, 0]) or 1.0)))
 
 
@@ -121,20 +120,22 @@ def _frame_of(solved: Solved) -> RigidTransform:
     return RigidTransform.from_parts(solved.axes, solved.origin, "scan", "footplate")
 
 
-def _solve(surface: Surface, hints: AnatomyHints, blur_mm: float) -> tuple[Solved, str, list[Notice]]:
+def _solve(
+    surface: Surface, hints: AnatomyHints, body: BodySurface | None
+) -> tuple[Solved, str, list[Notice]]:
     """Return the solution with the sign of x, what decided it, and warnings."""
     check_head(surface, hints)
     extent = _extent(surface)
-    solved, notices = _choose_face(surface, extent, blur_mm, hints)
-    oriented = orient_long_axis(hints, solved.origin, solved.axes[:, 0], solved.axes[:, 1])
-    notices += oriented.notices
+    solved, notices = _choose_face(surface, extent, body, hints)
+    sign, evidence, said = orient_long_axis(hints, solved.origin, solved.axes[:, 0], solved.axes[:, 1])
+    notices += said
     if solved.elongation < _ROUND:
         text = (
             f"The footplate is nearly round (length to width {solved.elongation:.2f}): its long axis, and "
             "with it x and z, are weakly determined."
         )
         notices.append(Notice("long_axis_weak", text))
-    return solved.turned(oriented.sign), oriented.evidence, notices
+    return solved.turned(sign), evidence, notices
 
 
 def _extent(surface: Surface) -> float:
@@ -145,11 +146,11 @@ def _extent(surface: Surface) -> float:
 
 
 def _choose_face(
-    surface: Surface, extent: float, blur_mm: float, hints: AnatomyHints
+    surface: Surface, extent: float, body: BodySurface | None, hints: AnatomyHints
 ) -> tuple[Solved, list[Notice]]:
     """Solve for the largest face; when landmarks contradict it, for one of similar size that they fit."""
     faces = extremal_faces(surface, extent)
-    solved = solve_at(surface, faces[0][0], extent, blur_mm)
+    solved = solve_at(surface, faces[0][0], extent, body)
     fault = contradiction(solved.origin, solved.axes, hints)
     if fault is None:
         known = {"head", "footplate_centre"} & hints.landmarks.keys()
@@ -164,7 +165,7 @@ def _choose_face(
     for outward, area in faces[1:]:
         if area < _LEAST_RIVAL * faces[0][1]:
             break
-        trial = solve_at(surface, outward, extent, blur_mm)
+        trial = solve_at(surface, outward, extent, body)
         if contradiction(trial.origin, trial.axes, hints) is None:
             text = "The footplate was taken to be another face than the largest, as the landmarks ask."
             return trial, [Notice("footplate_ambiguous", text)]
@@ -181,21 +182,15 @@ def extremal_faces(surface: Surface, extent_mm: float) -> list[tuple[Array, floa
     of the footplate score less: narrow, small, or not at an extremity.
     """
     pieces = _pooled(surface, _CELL * extent_mm)
-    directions, fine = sphere(_DIRECTIONS), sphere(_FINE_DIRECTIONS)
+    directions = sphere(_DIRECTIONS)
     scores = _scores(directions, pieces, extent_mm)
     free = np.ones(len(directions), dtype=bool)
     faces: list[tuple[Array, float]] = []
     while np.any(free):
         best = int(np.argmax(np.where(free, scores, -1.0)))
-        outward, area = directions[best], float(scores[best])
-        free &= directions @ outward < np.cos(np.radians(_OTHER_DEG))
-        if len(faces) < _REFINED:
-            near = fine[fine @ outward > np.cos(np.radians(_NEAR_DEG))]
-            closer = _scores(near, pieces, extent_mm)
-            if closer.max() > area:
-                outward, area = near[int(np.argmax(closer))], float(closer.max())
-        faces.append((outward, area))
-    return sorted(faces, key=lambda face: -face[1])
+        faces.append((directions[best], float(scores[best])))
+        free &= directions @ directions[best] < np.cos(np.radians(_OTHER_DEG))
+    return faces
 
 
 def _scores(directions: Array, pieces: tuple[Array, Array, Array], extent_mm: float) -> Array:

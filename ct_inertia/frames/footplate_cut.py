@@ -66,7 +66,8 @@ class Face:
 class Cone:
     """The triangles of a region that look about against a direction.
 
-    ``points`` (n, 6) are its vertices before and after the correction for blur, mm.
+    ``points`` (n, 6) are its vertices before and after the correction for blur, mm; ``across`` (m, 3) the
+    directions in which areas of its faces count, None where all do.
     """
 
     y_axis: Array
@@ -74,17 +75,19 @@ class Cone:
     faces: Faces
     normals: Array
     ends: NDArray[np.bool_]
+    across: Array | None
 
     @classmethod
     def of(cls, region: Region, normals: Array, y_axis: Array, cosine: float) -> Cone:
         """Cut the cone out of a region, for one field of normals."""
         near = -(normals @ y_axis) > cosine - _MARGIN
-        faces = region.faces[np.any(near[region.faces], axis=1)]
+        kept = np.any(near[region.faces], axis=1)
+        faces, across = region.faces[kept], None if region.across is None else region.across[kept]
         if not len(faces):
             raise no_face("a body without such a face")
         used, place = np.unique(faces, return_inverse=True)
         points = np.hstack([region.diffusion.points[used], region.points[used]])
-        return cls(y_axis, points, place.reshape(-1, 3), normals[used], region.ends[used])
+        return cls(y_axis, points, place.reshape(-1, 3), normals[used], region.ends[used], across)
 
     def face(self, y_axis: Array, cosine: float, border: bool = False) -> Face:
         """Cut the face out, with the triangles that pass the angle; its border only if asked for."""
@@ -113,7 +116,11 @@ class Cone:
         of = piece[np.concatenate([whole[:, 0], one[:, 0], two[:, 1], two[:, 1]])]
         triangles = np.concatenate(corners)
         a, b, c = (triangles[:, k, :3] for k in range(3))
-        areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        vectors = 0.5 * np.cross(b - a, c - a)
+        areas = np.linalg.norm(vectors, axis=1)
+        if self.across is not None:
+            along = np.concatenate([self.across[count == number] for number in (3, 1, 2, 2)])
+            areas = np.maximum(np.sum(vectors * along, axis=1), 0.0)
         largest = int(np.argmax(np.bincount(of, areas)))
         kept = of == largest
         outline, segments, slopes = np.zeros((0, 3)), np.zeros((0, 2, 3)), np.zeros(0)

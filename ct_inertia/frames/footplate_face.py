@@ -11,13 +11,13 @@ of the voxels or triangles it is known by.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.bodies import BodySurface
 from ct_inertia.frames.footplate_cut import Cone, Face, no_face
-from ct_inertia.surface.fields import Diffusion, refined, unit
+from ct_inertia.surface.fields import Diffusion, refined, ring_normals, unit
 from ct_inertia.surface.surface import Faces, Surface
 from stapeskit.arrays import Array
 
@@ -31,7 +31,7 @@ EDGE_MM = 0.04
 
 _DEPTH_MM, _DEEPER = 0.6, 1.5  # of the region around a footplate; deeper where the face reaches its end
 _CONE_TURN = 0.05  # turn of y (rad) after which that part is cut anew: a third of its margin
-_ROUNDS = 60  # most iterations of the fixed point and of its plane: a guard against cycles
+_ROUNDS, _STILL_RAD = 60, 1e-7  # of the fixed point and of its plane: a hundredth of what noise leaves
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,9 @@ class Region:
     normals : ndarray, (n, 3)
         Unit normals on the scale of the definition.
     diffusion : Diffusion
+    across : ndarray, (m, 3), or None
+        Directions in which the area of its triangles counts, averaged over their neighbours: noise makes a
+        surface rough, not large. None: a mesh without noise.
     ends : ndarray of bool, (n,)
         Vertices where the region ends.
     edge_mm : float
@@ -59,13 +62,22 @@ class Region:
     points: Array
     normals: Array
     diffusion: Diffusion
+    across: Array | None
     ends: NDArray[np.bool_]
     edge_mm: float
 
-    @cached_property
-    def smoother(self) -> Array:
-        """Unit normals (n, 3) after one more step of diffusion."""
-        return unit(self.diffusion.step(self.normals))
+    def sharpened(self, blur_mm: float) -> Region:
+        """Return the region with a blur of its surface taken back.
+
+        Notes
+        -----
+        Blur moves an iso surface inward where it is convex, by blur^2 / 2 times the sum of the principal
+        curvatures; one step of diffusion on the scale s moves it by s^2 / 4 times its mean curvature vector.
+        """
+        normals = unit(self.diffusion.normals())
+        lift = 2.0 * (blur_mm / NORMAL_SCALE_MM) ** 2 * (self.points - self.diffusion.step(self.points))
+        points = self.points + np.sum(lift * normals, axis=1, keepdims=True) * normals
+        return replace(self, points=points, normals=unit(self.diffusion.normals(points)))
 
 
 @dataclass(frozen=True)
@@ -97,7 +109,7 @@ class Solved:
         return replace(self, axes=self.axes * np.array([sign, 1.0, sign]))
 
 
-def solve_at(surface: Surface, outward: Array, extent_mm: float, blur_mm: float) -> Solved:
+def solve_at(surface: Surface, outward: Array, extent_mm: float, body: BodySurface | None = None) -> Solved:
     """Solve for the face at one extremity, in a region deep enough to hold the face whole.
 
     Parameters
@@ -107,8 +119,8 @@ def solve_at(surface: Surface, outward: Array, extent_mm: float, blur_mm: float)
         About -y, unit.
     extent_mm : float
         Diameter of the body.
-    blur_mm : float
-        Blur that is left in the surface.
+    body : BodySurface, optional
+        How the surface errs; None: not at all.
 
     Raises
     ------
@@ -117,7 +129,7 @@ def solve_at(surface: Surface, outward: Array, extent_mm: float, blur_mm: float)
     """
     depth = max(_DEPTH_MM, 0.15 * extent_mm)
     while True:
-        solved = solve(region_around(surface, outward, depth, blur_mm), -outward)
+        solved = solve(region_around(surface, outward, depth, body), -outward)
         if not solved.face.reaches_end:
             return solved
         if depth > extent_mm:
@@ -125,15 +137,8 @@ def solve_at(surface: Surface, outward: Array, extent_mm: float, blur_mm: float)
         depth *= _DEEPER
 
 
-def region_around(surface: Surface, outward: Array, depth_mm: float, blur_mm: float) -> Region:
-    """Cut out what lies within a depth of the extreme plane across a direction.
-
-    Notes
-    -----
-    Blur moves an iso surface inward where it is convex, by blur^2 / 2 times the sum of the principal
-    curvatures; one step of diffusion on the scale s moves it by s^2 / 4 times its mean curvature vector. So
-    blur is taken back.
-    """
+def region_around(surface: Surface, outward: Array, depth_mm: float, body: BodySurface | None) -> Region:
+    """Cut out what lies within a depth of the extreme plane across a direction, and take its blur back."""
     middle = np.round(surface.vertices_mm.mean(axis=0), 3)
     mesh = surface.mesh()
     mesh.points = mesh.points - middle
@@ -145,20 +150,12 @@ def region_around(surface: Surface, outward: Array, depth_mm: float, blur_mm: fl
     points, faces = np.asarray(mesh.points, dtype=float), np.asarray(mesh.regular_faces, dtype=np.int64)
     diffusion = Diffusion(points, faces, NORMAL_SCALE_MM)
     ends = points @ outward < limit + 1e-6
-    if blur_mm > 0.0:
-        normals = unit(diffusion.normals())
-        lift = 2.0 * (blur_mm / NORMAL_SCALE_MM) ** 2 * (points - diffusion.step(points))
-        points = points + np.einsum("ij,ij->i", lift, normals)[:, None] * normals
-    return Region(faces, middle, points, unit(diffusion.normals(points)), diffusion, ends, edge)
+    across = None if body is None else ring_normals(Surface(points, faces))
+    region = Region(faces, middle, points, unit(diffusion.normals()), diffusion, across, ends, edge)
+    return region.sharpened(body.blur_mm) if body is not None and body.blur_mm > 0.0 else region
 
 
-def solve(
-    region: Region,
-    y_axis: Array,
-    angle_deg: float = FACE_ANGLE_DEG,
-    normals: Array | None = None,
-    accuracy: float = 1e-8,
-) -> Solved:
+def solve(region: Region, y_axis: Array, normals: Array | None = None) -> Solved:
     """Iterate face -> plane -> direction to the fixed point; the sign of x is left open.
 
     Parameters
@@ -166,11 +163,8 @@ def solve(
     region : Region
     y_axis : ndarray, (3,)
         Where to begin.
-    angle_deg : float
     normals : ndarray, (n, 3), optional
         Other normals than those of the definition.
-    accuracy : float
-        Of y, rad.
 
     Raises
     ------
@@ -178,14 +172,11 @@ def solve(
         No part of the region looks that way.
     """
     field = region.normals if normals is None else normals
-    cosine = float(np.cos(np.radians(angle_deg)))
+    cosine = float(np.cos(np.radians(FACE_ANGLE_DEG)))
     cone = Cone.of(region, field, y_axis, cosine)
-    tried: list[tuple[Array, Array]] = []
     for _ in range(_ROUNDS):
-        change = plane_normal(cone.face(y_axis, cosine), y_axis, 0.01 * accuracy) - y_axis
-        tried = [*tried[-2:], (y_axis, change)]
-        y_axis = unit(_extrapolated(tried))
-        if np.linalg.norm(change) < accuracy:
+        before, y_axis = y_axis, plane_normal(cone.face(y_axis, cosine), y_axis)
+        if np.linalg.norm(y_axis - before) < _STILL_RAD:
             break
         if np.linalg.norm(y_axis - cone.y_axis) > _CONE_TURN:
             cone = Cone.of(region, field, y_axis, cosine)
@@ -204,7 +195,7 @@ def plane_weights(distance_mm: Array) -> Array:
     return np.asarray(1.0 / np.sqrt(1.0 + (distance_mm / PLANE_SCALE_MM) ** 2))
 
 
-def plane_normal(face: Face, start: Array, accuracy: float) -> Array:
+def plane_normal(face: Face, start: Array) -> Array:
     """Return the normal of the plane with the least sum of area times robust distance."""
     normal, offset = start, float(face.centroid @ start)
     for _ in range(_ROUNDS):
@@ -215,27 +206,9 @@ def plane_normal(face: Face, start: Array, accuracy: float) -> Array:
         new = vectors[:, 0] * np.sign(vectors[:, 0] @ start)
         step = float(np.linalg.norm(new - normal))
         normal, offset = new, float(centre @ new)
-        if step < accuracy:
+        if step < 0.01 * _STILL_RAD:
             break
     return normal
-
-
-def _extrapolated(tried: list[tuple[Array, Array]]) -> Array:
-    """Return where the change vanishes, from the last places (3,) and the changes (3,) that they ask for.
-
-    Notes
-    -----
-    Anderson's mixing (1965, J. ACM 12:547) over at most three places: a direction has two freedoms.
-    """
-    place, change = tried[-1]
-    if len(tried) == 1:
-        return place + change
-    moves = np.column_stack([place - earlier for earlier, _ in tried[:-1]])
-    answers = np.column_stack([change - earlier for _, earlier in tried[:-1]])
-    share = np.linalg.lstsq(answers, change, rcond=1e-3)[0]
-    step = change - (moves + answers) @ share
-    most = 3.0 * float(np.linalg.norm(change))
-    return np.asarray(place + step * min(1.0, most / max(float(np.linalg.norm(step)), 1e-30)))
 
 
 def _outline_moments(face: Face, y_axis: Array) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.surface.fields import sum_at_corners, unit
+from ct_inertia.surface.fields import ring_normals, unit
 from ct_inertia.surface.surface import Surface
 from stapeskit.arrays import Array
 from stapeskit.frames import rotation_from_vector
@@ -108,16 +108,14 @@ def plane_faces(surface: Surface) -> list[PlaneFace]:
     means over cells, so that correlation between neighbours counts. The border of the field of view is
     looked at apart, for at a shallow angle it would pass for the face.
     """
-    vectors = surface.area_vectors_mm2
-    areas = np.linalg.norm(vectors, axis=1)
+    areas = np.linalg.norm(surface.area_vectors_mm2, axis=1)
     at_border = np.zeros(len(areas), dtype=int)
     if surface.on_border is not None:
         at_border = np.count_nonzero(surface.on_border[surface.faces], axis=1)
-    normals = _smooth_normals(surface, vectors)
     least = _LEAST_SHARE * float(areas.sum())
     faces: list[PlaneFace] = []
     for border, chosen in ((False, at_border == 0), (True, at_border == 3)):
-        pieces = _Pieces(surface.centres_mm, normals, areas).chosen(chosen)
+        pieces = _Pieces(surface.centres_mm, ring_normals(surface), areas).chosen(chosen)
         failures = 0
         while pieces.areas.sum() > least and failures < _FAILURES:
             face, members = _largest(pieces)
@@ -127,13 +125,6 @@ def plane_faces(surface: Surface) -> list[PlaneFace]:
                 failures += 1
             pieces = pieces.chosen(~members)
     return sorted(faces, key=lambda face: -face.area_mm2)
-
-
-def _smooth_normals(surface: Surface, vectors: Array) -> Array:
-    """Return unit normals (m, 3) of the faces, averaged over two rings of neighbours."""
-    for _ in range(2):
-        vectors = sum_at_corners(surface.faces, vectors, len(surface.vertices_mm))[surface.faces].mean(axis=1)
-    return unit(vectors)
 
 
 def _largest(pieces: _Pieces) -> tuple[PlaneFace | None, NDArray[np.bool_]]:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.plate import PlaneFace, jacobian
+from ct_inertia.surface.fields import unit
 from stapeskit.arrays import Array
-from stapeskit.faults import StapeskitError
-from stapeskit.frames import RigidTransform, axes_matrix, cross_matrix
+from stapeskit.frames import RigidTransform, axes_matrix
 from stapeskit.registration import displacement
 from stapeskit.warnings import Notice
 
@@ -27,13 +27,13 @@ AMBIGUOUS = 0.95
 _LEAST_EDGE_MM = 0.5
 _STEEP, _BORDER_STEEP = 0.2, 0.995  # cosine to the main face up to which a side, or the border, ends it
 _COVERED = 0.9  # cosine from which two directions are taken for one
+_OPEN_RAD = 0.05  # less than a half turn between two sides: they meet within 20 widths of the face
 _LIKE, _ROUNDING_MM = 0.93, 0.1  # cosine and distance of a face that is only the rounded edge of a larger one
 _CURVED_1_MM = 0.15  # a face of 7 mm radius is no plane
 _RIM_MM = calibrated("plate_frame.rim_mm")
 _AGREEING_SD, _AGREEING_RAD = 3.0, calibrated("plate_frame.agreeing_rad")
 _UNKNOWN_TURN_RAD = 1.0
 _HULL_SD_MM = calibrated("plate_frame.hull_sd_mm")
-_STEP = "Check the segmentation in the report, or give --plate-fiducials"
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,8 @@ class _Pose:
         return RigidTransform.from_parts(self.axes, self.origin, "scan", "plate")
 
 
-def plate_frame(faces: Sequence[PlaneFace], stapes_mm: Array, level_sd_mm: float = 0.0) -> PlateFrame:
-    """Find the frame of the plate from its plane faces.
+def plate_frame(faces: Sequence[PlaneFace], stapes_mm: Array, level_sd_mm: float = 0.0) -> PlateFrame | None:
+    """Find the frame of the plate from its plane faces; None without one that looks towards the stapes.
 
     Parameters
     ----------
@@ -89,23 +89,19 @@ def plate_frame(faces: Sequence[PlaneFace], stapes_mm: Array, level_sd_mm: float
         A point in the middle of the stapes, scan coordinates.
     level_sd_mm : float
         Standard deviation of one shift of the whole surface along its normal.
-
-    Raises
-    ------
-    StapeskitError
-        The plate has no large plane face that looks towards the stapes.
     """
+    from scipy.spatial import QhullError
+
     main = next(iter(facing(faces, stapes_mm)), None)
     if main is None:
-        got = f"{len(faces)} faces, none of which is plane and has the stapes on its outer side"
-        expected = "a solid with a plane face towards the stapes"
-        raise StapeskitError.of("the plate", expected, got, next_step=_STEP)
+        return None
     main = replace(main, covariance=main.covariance + np.diag([level_sd_mm**2, 0.0, 0.0]))
     sides = _sides([face for face in faces if face.point_mm is not main.point_mm], main)
-    first = _pose(main, sides)
-    weights = _side_weights(main, sides, first)
-    pose = _pose(main, sides, first.along, weights)
-    covariance = _propagated(main, sides, pose, weights)
+    try:
+        pose = _pose(main, sides)
+    except QhullError:
+        return None
+    covariance = _propagated(main, sides, pose)
     cropped = any(side.at_border for side in sides)
     return PlateFrame(pose.transform, covariance, pose.corners, cropped, "faces", _notices(pose, sides))
 
@@ -143,74 +139,46 @@ def _is_rounded_edge(face: PlaneFace, kept: Sequence[PlaneFace]) -> bool:
     )
 
 
-def _pose(
-    main: PlaneFace, sides: Sequence[PlaneFace], along: int | None = None, weights: Array | None = None
-) -> _Pose:
-    """Build the frame from the planes; x follows the edge of side ``along``, or a weighted mean of edges."""
+def _pose(main: PlaneFace, sides: Sequence[PlaneFace], along: int | None = None) -> _Pose:
+    """Build the frame from the planes; x follows the longest edge, or that of side ``along``."""
     normal = main.normal
-    u = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
-    u = u / np.linalg.norm(u)
+    u = unit(np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))]))
     plane = np.column_stack([u, np.cross(normal, u)])
     lines = [(plane.T @ side.normal, float((side.point_mm - main.point_mm) @ side.normal)) for side in sides]
     polygon, owners = _polygon((main.samples_mm - main.point_mm) @ plane, lines)
     lengths = np.linalg.norm(np.roll(polygon, -1, axis=0) - polygon, axis=1)
     edge = np.array([owner >= 0 and not sides[owner].at_border for owner in owners])
+    lengths = np.where(edge, lengths, 0.0)
     if along is None:
-        longest = int(np.argmax(np.where(edge, lengths, 0.0)))
-        along = int(owners[longest]) if edge[longest] and lengths[longest] > _LEAST_EDGE_MM else -1
+        longest = int(np.argmax(lengths))
+        along = int(owners[longest]) if lengths[longest] > _LEAST_EDGE_MM else -1
     if along >= 0:
-        direction = np.cross(normal, sides[along].normal)
-        if weights is not None:
-            direction = _mean_direction(normal, sides, direction, weights)
+        direction = _edge_direction(normal, sides, along)
     else:
         direction = np.eye(3)[int(abs(normal[0]) > _COVERED)]
         direction = direction - (direction @ normal) * normal
-    axes = axes_matrix(positive_sense(direction), normal)
     corners = main.point_mm + polygon @ plane.T
     origin = main.point_mm + plane @ _centroid(polygon)
-    return _Pose(axes, origin, corners, np.where(edge, lengths, 0.0), owners, along)
+    return _Pose(axes_matrix(positive_sense(direction), normal), origin, corners, lengths, owners, along)
 
 
-def _mean_direction(normal: Array, sides: Sequence[PlaneFace], first: Array, weights: Array) -> Array:
-    """Return the mean of the directions of edges, each turned by quarters to lie near the first."""
-    turn = cross_matrix(normal)
-    total = np.zeros(3)
-    for side, weight in zip(sides, weights, strict=True):
-        edge = turn @ side.normal
-        edge = edge / np.linalg.norm(edge)
-        square = turn @ edge
-        total += weight * max((edge, square, -edge, -square), key=lambda turned: float(turned @ first))
-    return total
+def _edge_direction(normal: Array, sides: Sequence[PlaneFace], along: int) -> Array:
+    """Return the direction (3,) of the edge of one side, averaged with those parallel or square to it.
 
-
-def _side_weights(main: PlaneFace, sides: Sequence[PlaneFace], pose: _Pose) -> Array:
-    """Return the weight (n,) of each side in the mean direction of x; they sum to 1.
-
-    Sides parallel or square to the longest edge, within their uncertainty, are weighted by the inverse of
-    their variance; the others have weight 0.
+    Those count that are so within what is known of both, weighted by the inverse of their variance.
     """
-    weights = np.zeros(len(sides))
-    if pose.along < 0:
-        return weights
-    first = np.cross(main.normal, sides[pose.along].normal)
-    first = first / np.linalg.norm(first)
-    variances = np.array([_turn_variance(main, side) for side in sides])
-    for place, side in enumerate(sides):
-        alone = np.zeros(len(sides))
-        alone[place] = 1.0
-        edge = _mean_direction(main.normal, sides, first, alone)
-        angle = float(np.arcsin(np.clip(np.cross(first, edge) @ main.normal, -1.0, 1.0)))
-        limit = _AGREEING_SD * float(np.sqrt(variances[place] + variances[pose.along]))
-        if place == pose.along or (not side.at_border and abs(angle) <= min(limit, _AGREEING_RAD)):
-            weights[place] = 1.0 / max(variances[place], 1e-16)
-    return np.asarray(weights / weights.sum())
-
-
-def _turn_variance(main: PlaneFace, side: PlaneFace) -> float:
-    """Return the variance of the direction of a side's edge about the normal of the main face, rad2."""
-    edge = np.cross(main.normal, side.normal)
-    slopes = side.basis.T @ (edge / np.linalg.norm(edge))
-    return float(slopes @ side.covariance[1:, 1:] @ slopes)
+    edges = unit(np.cross(normal, np.stack([side.normal for side in sides])))
+    first = edges[along]
+    turns = np.arctan2(np.cross(first, edges) @ normal, edges @ first)
+    turns = (turns + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi
+    slopes = [side.basis.T @ edge for side, edge in zip(sides, edges, strict=True)]
+    variances = np.array([s @ side.covariance[1:, 1:] @ s for side, s in zip(sides, slopes, strict=True)])
+    limits = np.minimum(_AGREEING_SD * np.sqrt(variances + variances[along]), _AGREEING_RAD)
+    agree = (np.abs(turns) <= limits) & ~np.array([side.at_border for side in sides])
+    agree[along] = True
+    weights = agree / np.maximum(variances, 1e-16)
+    turn = float(weights @ turns / weights.sum())
+    return np.asarray(np.cos(turn) * first + np.sin(turn) * np.cross(normal, first))
 
 
 def positive_sense(direction: Array) -> Array:
@@ -225,44 +193,20 @@ def _polygon(points: Array, lines: Sequence[tuple[Array, float]]) -> tuple[Array
 
     Where no side ends the face, the convex hull of what was seen of it does.
     """
-    reach = 4.0 * float(np.max(np.abs(points)))
-    polygon = reach * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    owners = np.full(4, -1)
-    for place, (across, offset) in enumerate(lines):
-        polygon, owners = _clip(polygon, owners, across, offset, place)
-    if np.any(owners < 0):
-        from scipy.spatial import ConvexHull
+    from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-        sides = np.array([line[0] / np.linalg.norm(line[0]) for line in lines]).reshape(-1, 2)
-        for *across, offset in ConvexHull(points).equations:
-            if not np.any(sides @ np.array(across) > _COVERED):
-                polygon, owners = _clip(polygon, owners, np.array(across), -float(offset), -1)
-    if len(polygon) < 3:
-        got = "planes that leave nothing of it"
-        raise StapeskitError.of("the sides of the plate", "planes around its face", got, next_step=_STEP)
-    return polygon, owners
-
-
-def _clip(
-    polygon: Array, owners: NDArray[np.int_], across: Array, offset: float, owner: int
-) -> tuple[Array, NDArray[np.int_]]:
-    """Keep the part of a convex polygon where ``across . p <= offset`` and name the new edge's line."""
-    height = polygon @ across - offset
-    corners: list[Array] = []
-    names: list[int] = []
-    for place, corner in enumerate(polygon):
-        after = (place + 1) % len(polygon)
-        here, next_one = height[place], height[after]
-        crossing = None
-        if here * next_one < 0.0:
-            crossing = corner + here / (here - next_one) * (polygon[after] - corner)
-        if here <= 0.0:
-            corners.append(corner)
-            names.append(int(owners[place]))
-        if crossing is not None:
-            corners.append(crossing)
-            names.append(owner if here <= 0.0 else int(owners[place]))
-    return np.array(corners).reshape(-1, 2), np.array(names, dtype=np.int_)
+    rows = np.array([[*across, -offset] for across, offset in lines]).reshape(-1, 3)
+    rows /= np.linalg.norm(rows[:, :2], axis=1, keepdims=True)
+    angles = np.sort(np.arctan2(rows[:, 1], rows[:, 0]))
+    gaps = np.diff(np.append(angles, angles[:1] + 2.0 * np.pi))
+    if not len(gaps) or gaps.max() > np.pi - _OPEN_RAD:
+        hull = ConvexHull(points).equations
+        rows = np.vstack([rows, hull[~np.any(hull[:, :2] @ rows[:, :2].T > _COVERED, axis=1)]])
+    corners = HalfspaceIntersection(rows, np.median(points, axis=0)).intersections
+    corners = corners[ConvexHull(corners).vertices]
+    middles = 0.5 * (corners + np.roll(corners, -1, axis=0))
+    owners = np.argmin(np.abs(middles @ rows[:, :2].T + rows[:, 2]), axis=1)
+    return corners, np.where(owners < len(lines), owners, -1)
 
 
 def _centroid(polygon: Array) -> Array:
@@ -272,7 +216,7 @@ def _centroid(polygon: Array) -> Array:
     return np.asarray(np.array([(x + x2) @ cross, (y + y2) @ cross]) / (3.0 * cross.sum()))
 
 
-def _propagated(main: PlaneFace, sides: Sequence[PlaneFace], pose: _Pose, weights: Array) -> Array:
+def _propagated(main: PlaneFace, sides: Sequence[PlaneFace], pose: _Pose) -> Array:
     """Carry the covariance of every plane to the frame by finite differences, (6, 6), m and rad."""
     covariance = np.zeros((6, 6))
     planes = [main, *sides]
@@ -280,7 +224,7 @@ def _propagated(main: PlaneFace, sides: Sequence[PlaneFace], pose: _Pose, weight
 
         def moved(face: PlaneFace, place: int = place) -> Array:
             every = [*planes[:place], face, *planes[place + 1 :]]
-            return displacement(pose.transform, _pose(every[0], every[1:], pose.along, weights).transform)
+            return displacement(pose.transform, _pose(every[0], every[1:], pose.along).transform)
 
         steps = jacobian(moved, plane)
         covariance += steps @ plane.covariance @ steps.T
@@ -291,31 +235,37 @@ def _propagated(main: PlaneFace, sides: Sequence[PlaneFace], pose: _Pose, weight
     return covariance
 
 
+def axis_notices(x_axis: Array, ratio: float) -> list[Notice]:
+    """Report the sense of the longest edge, and another edge that is nearly as long: ``ratio`` of both."""
+    listed = ", ".join(f"{value:+.3f}" for value in x_axis)
+    text = (
+        "x of the plate frame is the longest edge of the plate in the sense with the positive component "
+        f"along scan x, [{listed}] in scan axes. Check it against the plate, or give --plate-fiducials with "
+        "x_ref_mm, y_ref_mm, z_ref_mm."
+    )
+    notices = [Notice("plate_axis_sign", text)]
+    if ratio > AMBIGUOUS:
+        text = (
+            f"Two edges of the plate are nearly equally long (ratio {ratio:.3f}): which of them is x is "
+            "ambiguous. Give --plate-fiducials with x_ref_mm, y_ref_mm, z_ref_mm."
+        )
+        notices.append(Notice("plate_axis_ambiguous", text))
+    return notices
+
+
 def _notices(pose: _Pose, sides: Sequence[PlaneFace]) -> tuple[Notice, ...]:
-    notices = []
-    listed = ", ".join(f"{value:+.3f}" for value in pose.axes[:, 0])
     if pose.along < 0:
         text = (
             "No straight edge of the plate is in the scan: x of the plate frame is scan x laid into it, and "
             "its turn about y says nothing about the plate. Give --plate-fiducials."
         )
-        notices.append(Notice("plate_axis_ambiguous", text))
+        notices = [Notice("plate_axis_ambiguous", text)]
     else:
-        text = (
-            "x of the plate frame is the longest edge of the plate in the sense with the positive component "
-            f"along scan x, [{listed}] in scan axes. Check it against the plate, or give --plate-fiducials."
-        )
-        notices.append(Notice("plate_axis_sign", text))
         across = sides[pose.along].normal
         pairs = list(zip(pose.lengths, pose.owners, strict=True))
         other = [length for length, owner in pairs if owner >= 0 and abs(sides[owner].normal @ across) < 0.7]
-        ratio = max(other, default=0.0) / max(length for length, owner in pairs if owner == pose.along)
-        if ratio > AMBIGUOUS:
-            text = (
-                f"Two edges of the plate are nearly equally long (ratio {ratio:.3f}): which of them is x is "
-                "ambiguous. Give --plate-fiducials."
-            )
-            notices.append(Notice("plate_axis_ambiguous", text))
+        longest = max(length for length, owner in pairs if owner == pose.along)
+        notices = axis_notices(pose.axes[:, 0], max(other, default=0.0) / longest)
     if any(side.at_border for side in sides):
         text = (
             "The scan crops the plate: the origin of the plate frame is the centroid of the part in view, "

@@ -18,7 +18,7 @@ from stapeskit.arrays import Array
 
 _BLUR_SD = calibrated("scene.blur_sd")
 _FLUID_SD = calibrated("media.fluid_sd")
-_SOFT_SD, _BRIGHT = calibrated("media.soft_sd")
+_SOFT_SD = calibrated("media.soft_sd")
 _TAIL_SD = calibrated("separation.tail_sd")
 _CLEARLY = 12.0  # log-likelihood by which a coat that nobody stated must fit better: 1 in 160 000
 _LEAST_BEND = 0.1  # of noises: a surface that follows noise takes up to 0.03 of that in bone
@@ -86,10 +86,9 @@ def amounts_of(
     for amount in plate_errors(parts):
         yield "separation", amount, common
     if parts.soft.any():
-        # The brighter a medium, the less its edge differs from that of bone.
-        soft_sd = _SOFT_SD * max(1.0, media.as_shares(contrast)["soft"] / _BRIGHT) ** 2
         for spread in (common, by_octants):
-            yield "surroundings", np.float32(soft_sd / np.sqrt(2.0)) * parts.soft, spread
+            yield "surroundings", np.float32(_SOFT_SD / np.sqrt(2.0)) * parts.soft, spread
+        yield "surroundings", parts.where_own(fit.media.film_sd(fit) / np.float32(contrast)), common
     if media.wet:
         wet = fit.shares["plate"] * np.float32(_FLUID_SD * fit.contrasts["plate"] / contrast)
         yield "surroundings", parts.where_own(wet), common

@@ -11,7 +11,7 @@ from ct_inertia.grey.scene import SceneFit
 from ct_inertia.voxels.fields import local_ratio
 
 _RIM = (0.05, 0.95)
-_RIM_WIDTHS, _RIM_RISE = 3.29, 0.9  # of a plane edge between these shares: widths of the blur, and its rise
+_RIM_WIDTHS = 3.29  # widths of the blur between these shares of a plane edge
 _INTERPOLATION = 1.0 / 6.0  # voxels^2: variance of the triangle between two voxels
 _MISFIT_SIGMAS = 4.0  # widths of the blur over which a misfit is taken as common
 _MISFIT_HEIGHT = calibrated("surface.misfit_height")
@@ -34,16 +34,13 @@ def body_surface(
 
     Notes
     -----
-    The local level makes the mean residual of the rim zero, 3.29 widths s of the blur thick, over which the
-    share of a plane edge rises by 0.9: noise of standard deviation n, correlation k and voxels of volume v
-    leaves the height the spectral density n^2 k v L / 0.9^2, L = 3.29 s, at waves longer than the average. A
-    level that errs by e moves a plane edge by e sqrt(2 pi) s. What edges are seen through is the blur, the
-    smoothing that noise asks for, and the linear interpolation between voxels (variance h^2 / 6).
+    A level that errs by e moves a plane edge by e sqrt(2 pi) s, s the width of the blur. What edges are seen
+    through is the blur, the smoothing that noise asks for, and the linear interpolation between voxels
+    (variance h^2 / 6).
     """
     begin = fit.start
     contrast = fit.contrasts[name]
     noise = begin.noise / contrast
-    thick = _RIM_WIDTHS * fit.sigma_mm
     window = fit.windows[name]
     cell = begin.grid.scan_from_index[:3, :3]
     where = fit.side(name)[window]
@@ -54,15 +51,13 @@ def body_surface(
     local = local_ratio(square, rim, _MISFIT_SIGMAS * fit.sigma_mm / begin.spacing, 1e-3)
     extra = np.sqrt(np.maximum(local - np.float32(noise**2), 0.0))
     slope = float(np.sqrt(2.0 * np.pi)) * fit.sigma_mm
-    area = float(rim.sum(dtype=float)) * begin.grid.voxel_mm3 / thick
+    area = float(rim.sum(dtype=float)) * begin.grid.voxel_mm3 / (_RIM_WIDTHS * fit.sigma_mm)
     relative = float(np.hypot(level.sd, begin.air_sd)) / level.contrast
     return BodySurface(
         field=shown,
         scan_from_index=begin.grid.part(window).scan_from_index,
         blur_mm=0.0,
         spread_mm2=fit.spread_in_scan_mm2 + (_INTERPOLATION + fit.smoothing**2) * cell @ cell.T,
-        noise_mm4=noise**2 * begin.correlation * begin.grid.voxel_mm3 * thick / _RIM_RISE**2,
-        correlation_mm=float(np.sqrt(2.0)) * fit.sigma_mm,
         misfit_sd_mm=(extra * np.float32(_MISFIT_HEIGHT * slope)).astype(np.float32),
         misfit_mm=_MISFIT_SIGMAS * fit.sigma_mm,
         level_sd_mm=float(np.hypot(0.5 * relative * slope, misfit_mm3 / max(area, 1e-9))),

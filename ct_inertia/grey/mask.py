@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ct_inertia.bodies import BodySurface, Labelled, Mask, MeasuredBody
-from ct_inertia.grey.border import border_contacts, border_covariance, border_notice
+from ct_inertia.grey.border import with_border
 from ct_inertia.grey.moments import common, voxel_moments
 from ct_inertia.voxels.fields import smooth
 from ct_inertia.voxels.masks import eroded, grown
@@ -29,12 +29,7 @@ def measure_mask(labelled: Labelled) -> MeasuredBody:
     rim = (grown(padded) & ~eroded(padded))[1:-1, 1:-1, 1:-1]
     shift = rim.astype(np.float32) * np.float32(0.5 * _THRESHOLD_SD)
     moments = moments.with_source("voxels", common(shift, box.scan_from_index, moments))
-    contacts = border_contacts(labelled.stapes, box)
-    notices = list(labelled.notices)
-    if contacts:
-        share = labelled.stapes.astype(np.float32)
-        moments = moments.with_source("border", border_covariance(contacts, share, box, moments))
-        notices.append(border_notice(contacts))
+    moments, notices = with_border(labelled, moments)
     return MeasuredBody(
         labelled=labelled,
         scene=None,
@@ -42,7 +37,7 @@ def measure_mask(labelled: Labelled) -> MeasuredBody:
         surface=mask_surface(labelled.stapes, labelled),
         wall=mask_surface(labelled.other, labelled) if labelled.other.any() else None,
         evidence={"bone_from": "mask"},
-        notices=tuple(notices),
+        notices=(*labelled.notices, *notices),
     )
 
 
@@ -57,8 +52,6 @@ def mask_surface(mask: Mask, labelled: Labelled) -> BodySurface:
         scan_from_index=box.scan_from_index,
         blur_mm=blur,
         spread_mm2=blur**2 * np.eye(3),
-        noise_mm4=edge**4 / 12.0,
-        correlation_mm=edge,
         misfit_sd_mm=np.zeros(mask.shape, dtype=np.float32),
         misfit_mm=edge,
         level_sd_mm=float(_THRESHOLD_SD) * edge,

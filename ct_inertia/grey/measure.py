@@ -9,7 +9,7 @@ import numpy as np
 from ct_inertia.bodies import Labelled, MeasuredBody, Moments, Scene
 from ct_inertia.frames.plate import plane_faces
 from ct_inertia.frames.plate_frame import facing
-from ct_inertia.grey.border import border_contacts, border_covariance, border_notice
+from ct_inertia.grey.border import with_border
 from ct_inertia.grey.budget import amounts_of, grey_scale_bend, unstated_coat, with_sources
 from ct_inertia.grey.frame_surface import body_surface
 from ct_inertia.grey.media import Coat, Media, coat_notice, media_notices, usual_coat
@@ -65,20 +65,17 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
     if through.covariance.any():
         moments = moments.with_source("separation", through.covariance)
     misfit = moments.contributions["misfit"][0, 0] if odd else 0.0
-    contacts = border_contacts(labelled.stapes, labelled.box)
-    if contacts:
-        covariance = border_covariance(contacts, parts.integrand, begin.grid, moments)
-        moments = moments.with_source("border", covariance)
+    moments, cut = with_border(labelled, moments)
 
     notices = [*labelled.notices, *([] if storing is None else storing.notices())]
-    notices += [*through.notices(moments.volume_mm3), *([border_notice(contacts)] if contacts else [])]
+    notices += [*through.notices(moments.volume_mm3), *cut]
     soft, hollow, mucosa = (
         _share(amount, parts, moments) for amount in (parts.soft, fit.media.void_share, unstated)
     )
     notices += [*media_notices(fit, soft, hollow), *misfit_notice(left, mucosa, bend, gain)]
     notices += [coat_notice(_share(usual_coat(fit), parts, moments))] if coat is None else []
     notices += broken_slices(fit, parts.residual)
-    scene, level = _scene(fit, parts, labelled), parts.level
+    scene, level = _scene(fit, parts), parts.level
     del parts  # a fifth of the memory, before surfaces need theirs
     return MeasuredBody(
         labelled=labelled,
@@ -104,18 +101,15 @@ def _share(amount: Grey | None, parts: StapesParts, moments: Moments) -> float:
     return float(effect(parts.where_own(amount), parts.transform, moments)[0] / moments.volume_mm3)
 
 
-def _scene(fit: SceneFit, parts: StapesParts, labelled: Labelled) -> Scene:
-    body = np.zeros(labelled.box.shape, dtype=np.float32)
-    body[fit.start.part] = fit.bodies["stapes"]
+def _scene(fit: SceneFit, parts: StapesParts) -> Scene:
     return Scene(
         air=fit.start.air,
         bone=fit.start.air + parts.level.contrast,
         air_sd=fit.start.air_sd,
         bone_sd=parts.level.sd,
         bone_from=parts.level.source,
-        spread_mm2=fit.spread_in_scan_mm2,
+        sigma_mm=fit.sigma_mm,
         noise=fit.start.noise,
-        correlation=fit.start.correlation,
-        body=body,
+        even=partial_volume_moments(fit.bodies["stapes"], parts.transform, np.zeros((3, 3))),
         media=fit.media.as_shares(parts.level.contrast),
     )

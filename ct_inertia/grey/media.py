@@ -25,6 +25,7 @@ _MEDIUM_SIGMAS = 2.0  # widths of the blur over which a medium is averaged
 _CLEAR = (0.4, 0.05)  # share of bodies below which a voxel shows a medium: on the stapes' side, anywhere
 _MEETING_VOXELS = 1.8  # between the middles of voxels of two masks that touch
 _TOUCH_SIGMAS = 1.5  # widths of the blur about their border in which a fluid fills what bone leaves
+_BESIDE = 0.01  # share of bodies from which a voxel lies at an edge; beyond, what is measured is subtracted
 _BEYOND_EDGES = 1e-3  # share of bodies below which not even a wrong blur passes for a medium
 _STRONG = 0.08  # of bone's contrast: more than what a wrong blur leaves next to an edge
 _LEAST_PART = 5e-4  # of the voxels there that must stand out: a drop of glue, a stump of a tendon
@@ -134,6 +135,19 @@ class Media:
         if self.soft is None:
             return np.zeros_like(self.image)
         return np.asarray(self.soft * np.clip(1.0 - sum(fit.shares.values()), 0.0, 1.0), dtype=np.float32)
+
+    def film_sd(self, fit: SceneFit) -> Grey:
+        """Return what the grey values of the soft medium err by at the bone's edge where it is a thin film.
+
+        They are means over some widths of the blur: they err by what they change by over one such width.
+        """
+        if self.soft is None:
+            return np.zeros_like(self.image)
+        bodies = np.asarray(sum(fit.shares.values()))
+        slopes = np.gradient(self.soft, *fit.start.spacing)
+        steep = np.sqrt(sum(np.square(slope) for slope in slopes)) * _MEDIUM_SIGMAS * fit.sigma_mm
+        beside = (bodies > _BESIDE) * np.clip(1.0 - bodies, 0.0, 1.0)
+        return np.asarray(steep * beside, dtype=np.float32)
 
     def as_shares(self, contrast: float) -> dict[str, float]:
         """Return what was fitted, as shares of the stapes' contrast."""

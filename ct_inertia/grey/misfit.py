@@ -117,7 +117,7 @@ def gain_over_body(fit: SceneFit, residual: Grey, contrast: float) -> Grey | Non
     Returns
     -------
     ndarray of float32, [z, y, x], or None
-        Share of bone, no larger than where bone shows it.
+        Share of bone on the stapes' side, no larger than where bone shows it.
 
     Notes
     -----
@@ -128,33 +128,29 @@ def gain_over_body(fit: SceneFit, residual: Grey, contrast: float) -> Grey | Non
     index = np.argwhere(deep)
     if len(index) < _LEAST_VOXELS:
         return None
-    spacing = fit.start.spacing
-    places = [along * edge for along, edge in zip(index.T, spacing, strict=True)]
+    places = index.T * fit.start.spacing[:, None]
     size, total = by_cells(residual[deep], deep, _CELL_VOXELS)
     centres = np.stack([by_cells(place, deep, _CELL_VOXELS)[1] for place in places])
     full = size >= _LEAST_CELL
     size, means, centres = size[full], total[full] / size[full], centres[:, full] / size[full]
     if len(size) < 3 * _TERMS:
         return None
-    middle = np.average(centres, axis=1, weights=size)
-    rows = _quadratic(centres - middle[:, None])
+    middle = np.average(centres, axis=1, weights=size)[:, None]
+    rows = _quadratic(centres - middle)
     weight = np.sqrt(size)
     factors = np.linalg.lstsq((rows * weight).T, means * weight, rcond=1e-6)[0]
-    fitted = rows.T @ factors
-    mean = float(np.average(means, weights=size))
+    fitted = factors @ rows
+    departs = size @ (fitted - float(np.average(means, weights=size))) ** 2
     noise = (fit.start.noise / fit.contrasts["stapes"]) ** 2 * fit.start.correlation
     scatter = float(size @ (means - fitted) ** 2) / (len(size) - _TERMS)
-    explained = float(size @ (fitted - mean) ** 2) / max(noise, scatter, 1e-12)
-    if (
-        explained < _TERMS + _MIN_Z**2
-        or np.sqrt(np.average((fitted - mean) ** 2, weights=size)) < _LEAST_GAIN
-    ):
+    if departs < (_TERMS + _MIN_Z**2) * max(noise, scatter, 1e-12) or departs < _LEAST_GAIN**2 * size.sum():
         return None
-    z, y, x = np.ogrid[tuple(slice(n) for n in residual.shape)]
-    grid = [axis * edge - at for axis, edge, at in zip((z, y, x), spacing, middle, strict=True)]
-    gain = sum(factor * term for factor, term in zip(factors, _quadratic_terms(*grid), strict=True))
-    gain = np.clip(gain, float(fitted.min()), float(fitted.max()))
-    return (gain + (fit.contrasts["stapes"] / contrast - 1.0)).astype(np.float32)
+    own = fit.own
+    at = np.argwhere(own).T * fit.start.spacing[:, None] - middle
+    gain = np.zeros_like(residual)
+    gain[own] = np.clip(factors @ _quadratic(at), fitted.min(), fitted.max())
+    gain[own] += np.float32(fit.contrasts["stapes"] / contrast - 1.0)
+    return gain
 
 
 def broken_slices(fit: SceneFit, residual: Grey) -> list[Notice]:
@@ -181,13 +177,10 @@ def broken_slices(fit: SceneFit, residual: Grey) -> list[Notice]:
     return [Notice("slices_missing", text)]
 
 
-def _quadratic_terms(z: Array, y: Array, x: Array) -> tuple[Array | float, ...]:
-    return 1.0, z, y, x, z * z, y * y, x * x, z * y, y * x, z * x
-
-
 def _quadratic(points: Array) -> Array:
     """Return the terms (10, n) of a polynomial of second order at points (3, n)."""
-    return np.stack([np.broadcast_to(term, points.shape[1]) for term in _quadratic_terms(*points)])
+    z, y, x = points
+    return np.stack([np.ones_like(z), z, y, x, z * z, y * y, x * x, z * y, y * x, z * x])
 
 
 def misfit_notice(

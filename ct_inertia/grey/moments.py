@@ -120,17 +120,9 @@ def noise_covariance(
     place = np.flatnonzero(where)
     step = max(1, place.size // _ENOUGH) | 1
     index = np.stack(np.unravel_index(place[::step], where.shape)[::-1], axis=1)
-    points = index @ scan_from_index[:3, :3].T + scan_from_index[:3, 3] - moments.centroid_mm
-    rows = sensitivity(points, moments.volume_mm3, sigma_mm)
+    rows = moments.sensitivity(index @ scan_from_index[:3, :3].T + scan_from_index[:3, 3], sigma_mm)
     voxel = abs(float(np.linalg.det(scan_from_index[:3, :3])))
     return np.asarray(step * (noise * voxel) ** 2 * rows.T @ rows)
-
-
-def sensitivity(away_mm: Array, volume_mm3: float, sigma_mm: float) -> Array:
-    """Return d(V, c, S) per unit of volume added at points (n, 3) relative to the centroid, (n, 10)."""
-    square = away_mm[:, ROWS] * away_mm[:, COLUMNS]
-    square[:, :3] -= sigma_mm**2
-    return np.column_stack([np.ones(len(away_mm)), away_mm / volume_mm3, square])
 
 
 def blur_covariance(moments: Moments, sigma_mm: float, sd: float) -> Array:

@@ -8,7 +8,6 @@ import numpy as np
 
 from ct_inertia.bodies import Labelled, Mask, Moments
 from ct_inertia.calibrated import calibrated
-from ct_inertia.grey.moments import sensitivity
 from ct_inertia.grey.start import Start
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
@@ -104,7 +103,7 @@ def bone_border(
     weight = np.clip(part, 0.0, 1.0) ** 3
     edge_mm = grid.voxel_mm3 ** (1.0 / 3.0)
     sd_mm = float(np.hypot(edge_mm, _NECK_SD_MM if neck else _BRIDGE_SD_MM))
-    steps = sensitivity(points - moments.centroid_mm, moments.volume_mm3, 0.0) * edge_mm**2 * sd_mm
+    steps = moments.sensitivity(points) * edge_mm**2 * sd_mm
     owner = patches[edge]
     for patch in np.unique(owner):
         step = weight[owner == patch] @ steps[owner == patch]

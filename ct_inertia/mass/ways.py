@@ -113,22 +113,15 @@ def masses_by_way(
         if measured is None or measured.scene is None:
             step = "Give the scan as well, or --density"
             raise StapeskitError.of("--calibration", "used with grey values", "none", next_step=step)
-        masses["calibration"] = _by_calibration(measured, calibration)
+        scene = measured.scene
+        masses["calibration"] = from_calibration(
+            measured.moments, scene.even, scene.air, scene.bone, calibration
+        )
     if density is None and not masses:
         density = ASSUMED_DENSITY
     if density is not None:
         masses["density"] = from_density(moments, density.value, density.sd)
     return masses
-
-
-def _by_calibration(measured: MeasuredBody, calibration: Calibration) -> MassProperties:
-    from ct_inertia.grey.moments import partial_volume_moments
-
-    scene = measured.scene
-    assert scene is not None  # noqa: S101
-    transform = measured.labelled.box.scan_from_index
-    shape = partial_volume_moments(scene.body, transform, np.zeros((3, 3)))
-    return from_calibration(measured.moments, shape, scene.air, scene.bone, calibration)
 
 
 def assumed_notice() -> Notice:

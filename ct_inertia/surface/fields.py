@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ct_inertia.surface.surface import Faces
+from ct_inertia.surface.surface import Faces, Surface
 from stapeskit.arrays import Array
 
 if TYPE_CHECKING:
@@ -75,9 +75,12 @@ def sum_at_corners(faces: Faces, values: Array, count: int) -> Array:
     return np.stack([np.bincount(flat, np.repeat(column, 3), minlength=count) for column in values.T], axis=1)
 
 
-def step_response(wave_number: Array, sigma_mm: float) -> Array:
-    """Return the factor by which one step of `Diffusion` multiplies a surface wave (rad/mm)."""
-    return np.asarray(1.0 / (1.0 + 0.25 * sigma_mm**2 * np.square(wave_number)))
+def ring_normals(surface: Surface) -> Array:
+    """Return unit normals (m, 3) of the faces, averaged over two rings of neighbours."""
+    vectors = surface.area_vectors_mm2
+    for _ in range(2):
+        vectors = sum_at_corners(surface.faces, vectors, len(surface.vertices_mm))[surface.faces].mean(axis=1)
+    return unit(vectors)
 
 
 def unit(vectors: Array) -> Array:

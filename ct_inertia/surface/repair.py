@@ -5,13 +5,15 @@ What is mended is reported; a hole is closed only when that is asked for.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.surface.surface import Faces, Surface, as_mesh, enclosed_moments
+from ct_inertia.surface.fields import unit
+from ct_inertia.surface.surface import Cap, Faces, Surface, as_mesh, enclosed_moments
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.sandbox import memory_limit, read_apart
@@ -22,6 +24,7 @@ MESH_SUFFIXES = (".stl", ".ply", ".obj", ".glb")
 _SAME_CORNER = 1e-6  # of the mesh's diagonal: single precision of an STL far from its origin
 _MEMORY = 2 << 30  # bytes for the child: pymeshlab and its copies of a mesh of some million faces
 _LARGEST_HOLE = 1 << 20  # edges: every hole
+_STEEPEST_DEG = 60.0  # at the rim of a hole, from where a sphere through it would be larger beyond the hole
 _STL_HEADER, _STL_TRIANGLE = 84, 50  # bytes of a binary STL, which counts its triangles in the last four
 
 
@@ -32,7 +35,7 @@ def read_mesh(path: Path | str, close: bool = False) -> Surface:
     ----------
     path : Path or str
     close : bool
-        Fill its holes; a mesh of several open pieces is replaced by where its winding number passes one half.
+        Fill its holes.
 
     Raises
     ------
@@ -116,25 +119,24 @@ def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Surfa
     faces, doubled = _without_doubles(faces)
     if doubled:
         texts.append(f"{doubled} faces of {name} were there twice; one of each is kept.")
-    notices = []
-    holes = boundary_edges(faces)
-    if len(holes):
+    notices, caps = [], tuple[Cap, ...]()
+    if len(boundary_edges(faces)):
         where = _holes(vertices, faces)
         if not close:
             step = "Close them in the program that made the surface (a solid fill), or let --close do it"
             raise StapeskitError.of("the surface", "closed", f"{where} in {len(faces)} faces", name, step)
-        vertices, faces, how = _closed(vertices, faces, name)
-        text = f"{name} had {where}; {how} (--close). Nothing says what was there: look at the surface."
+        vertices, faces, caps = _closed(vertices, faces, name)
+        text = (
+            f"{name} had {where}; they were closed (--close). The budget holds what a surface that bends on "
+            "evenly would add (border): look at it."
+        )
         notices.append(Notice("holes_closed", text))
     faces, turned = _oriented(vertices, faces, name)
     if turned:
         texts.append(f"{turned} of {len(faces)} faces of {name} were wound the other way; they were turned.")
-    bodies = sum(enclosed_moments(vertices, faces[piece])[0] > 0.0 for piece in pieces(faces))
-    if bodies > 1:
-        texts.append(f"{name} holds {bodies} separate bodies: they are added, twice where they overlap.")
     if texts:
         notices.append(Notice("file_read", " ".join(texts)))
-    return Surface(vertices, faces, notices=tuple(notices))
+    return Surface(vertices, faces, caps=caps, notices=tuple(notices))
 
 
 def _joined(vertices: Array, faces: Faces) -> tuple[Array, Faces, int]:
@@ -171,31 +173,43 @@ def _without_doubles(faces: Faces) -> tuple[Faces, int]:
 
 def boundary_edges(faces: Faces) -> Faces:
     """Return the edges (k, 2), as their face walks them, that an odd number of faces have: rims of holes."""
-    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges = _edges(faces)
     _, first, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
     return np.asarray(edges[first[count % 2 == 1]])
 
 
-def _closed(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, str]:
-    """Close an open mesh, and say how: holes of one piece are filled, several open pieces wound around.
+def _edges(faces: Faces) -> Faces:
+    """Return the three edges of each face as it walks them, (3 m, 2)."""
+    return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 
-    Notes
-    -----
-    Open pieces that overlap would count twice where they do if each were filled on its own.
+
+def _closed(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, tuple[Cap, ...]]:
+    """Fill the holes of a mesh of one open piece, and say what each may lack.
+
+    Raises
+    ------
+    StapeskitError
+        Several open pieces, which would count twice where they overlap; holes that cannot be filled, or
+        where the surface is cut off: nothing shows how much is missing there.
     """
-    from ct_inertia.surface.winding import winding_surface
+    step = "Close it in the program that made it, where what is missing is known"
+    opened = sum(len(boundary_edges(faces[piece])) > 0 for piece in pieces(faces))
+    if opened > 1:
+        raise StapeskitError.of("the surface", "of one open piece for --close", opened, name, step)
+    vertices, faces, new = _filled(vertices, faces)
+    if not new.any() or len(boundary_edges(faces)):
+        got = "holes that pymeshlab cannot fill"
+        raise StapeskitError.of("the surface", "one that --close can close", got, name, step)
+    caps = tuple(_caps(vertices, _oriented(vertices, faces, name)[0], new))
+    cut = [str(cap) for cap in caps if cap.steep_deg > _STEEPEST_DEG]
+    if cut:
+        expected = f"one that bends by at most {_STEEPEST_DEG:g} degrees at the rim of a hole for --close"
+        raise StapeskitError.of("the surface", expected, f"cut off {' and '.join(cut)}", name, step)
+    return vertices, faces, caps
 
-    if sum(len(boundary_edges(faces[piece])) > 0 for piece in pieces(faces)) == 1:
-        corners, filled = _filled(vertices, faces)
-        if not len(boundary_edges(filled)):
-            return corners, filled, "its holes were filled"
-    vertices, faces, step_mm = winding_surface(vertices, faces, name)
-    grid = f"a grid of {step_mm:.2g} mm"
-    return vertices, faces, f"its pieces were replaced by the surface of winding number one half on {grid}"
 
-
-def _filled(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
-    """Fill the holes of a mesh as far as pymeshlab can.
+def _filled(vertices: Array, faces: Faces) -> tuple[Array, Faces, NDArray[np.bool_]]:
+    """Fill the holes of a mesh as far as pymeshlab can; return which faces (m,) are new, too.
 
     Raises
     ------
@@ -212,11 +226,39 @@ def _filled(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
     try:
         meshes.meshing_repair_non_manifold_edges()
         meshes.meshing_re_orient_faces_coherently()
-        meshes.meshing_close_holes(maxholesize=_LARGEST_HOLE, selfintersection=False)
+        meshes.meshing_close_holes(maxholesize=_LARGEST_HOLE, selfintersection=False, newfaceselected=True)
     except pymeshlab.PyMeshLabException:  # it cannot be oriented
-        return vertices, faces
+        return vertices, faces, np.zeros(len(faces), dtype=bool)
     mesh = meshes.current_mesh()
-    return mesh.vertex_matrix(), mesh.face_matrix().astype(np.int64)
+    return mesh.vertex_matrix(), mesh.face_matrix().astype(np.int64), mesh.face_selection_array()
+
+
+def _caps(vertices: Array, faces: Faces, new: NDArray[np.bool_]) -> Iterator[Cap]:
+    """Yield what closes each hole of a closed mesh with outward faces, of which some are new.
+
+    Notes
+    -----
+    Across a hole of area pi a^2 where the surface meets a flat cap at the angle t, a sphere would go on as a
+    dome of height h = a tan(t / 2) and volume pi h (3 a^2 + h^2) / 6.
+    """
+    vectors = Surface(vertices, faces).area_vectors_mm2
+    normals = unit(vectors)
+    edges = np.sort(_edges(faces), axis=1) @ [len(vertices), 1]
+    owner = np.repeat(np.arange(len(faces)), 3)
+    place = np.flatnonzero(new)
+    for part in pieces(faces[place]):
+        cap = place[part]
+        rim = np.sort(boundary_edges(faces[cap]), axis=1)
+        around = np.isin(edges, rim @ [len(vertices), 1]) & ~new[owner]
+        length = np.linalg.norm(vertices[rim[:, 0]] - vertices[rim[:, 1]], axis=1)
+        across = vectors[cap].sum(axis=0)
+        area = max(float(np.linalg.norm(across)), 1e-30)
+        cosine = float(np.mean(normals[owner[around]] @ (across / area)))
+        angle, radius = float(np.arccos(np.clip(cosine, -1.0, 1.0))), float(np.sqrt(area / np.pi))
+        height = radius * float(np.tan(0.5 * min(angle, 0.5 * np.pi)))
+        volume = np.pi * height * (3.0 * radius**2 + height**2) / 6.0
+        middle = length @ vertices[rim].mean(axis=1) / length.sum()
+        yield Cap(middle, 2.0 * radius, float(np.degrees(angle)), float(volume))
 
 
 def _holes(vertices: Array, faces: Faces) -> str:
@@ -289,7 +331,7 @@ def _against_neighbours(vertices: Array, faces: Faces) -> NDArray[np.bool_]:
 
 def open_walks(faces: Faces) -> int:
     """Return how many edges are walked more often in one direction: 0 for a closed surface."""
-    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges = _edges(faces)
     sense = np.where(edges[:, 0] < edges[:, 1], 1, -1)
     _, place = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
     return int(np.count_nonzero(np.bincount(place.reshape(-1), sense)))

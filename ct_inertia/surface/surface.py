@@ -21,6 +21,32 @@ Faces = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
+class Cap:
+    """What closed a hole of a mesh.
+
+    Attributes
+    ----------
+    middle_mm : ndarray, (3,)
+        Scan coordinates.
+    width_mm : float
+        Diameter of a disc of its area.
+    steep_deg : float
+        Mean angle to the surface around it: 0 where that goes on flat, 90 where it is cut off.
+    dome_mm3 : float
+        What a surface that bends on evenly would add.
+    """
+
+    middle_mm: Array
+    width_mm: float
+    steep_deg: float
+    dome_mm3: float
+
+    def __str__(self) -> str:
+        place = ", ".join(f"{value:.3f}" for value in self.middle_mm)
+        return f"at {place} mm, {self.width_mm:.2g} mm wide, by {self.steep_deg:.0f} degrees"
+
+
+@dataclass(frozen=True, eq=False)
 class Surface:
     """Triangles of a closed surface.
 
@@ -32,13 +58,16 @@ class Surface:
         Corners, counter-clockwise seen from outside.
     on_border : ndarray of bool, (n,), or None
         Vertices where it is not the body that ends but the scan; None: nowhere.
+    caps : tuple of Cap
+        What closed the holes of the file that it came from.
     notices : tuple of Notice
-        What was mended in the file that it came from.
+        What was mended in that file.
     """
 
     vertices_mm: Array
     faces: Faces
     on_border: NDArray[np.bool_] | None = None
+    caps: tuple[Cap, ...] = ()
     notices: tuple[Notice, ...] = ()
 
     def __repr__(self) -> str:
@@ -67,14 +96,17 @@ class Surface:
         return (2 - (len(self.vertices_mm) - edges + len(self.faces))) // 2
 
     def moments(self) -> Moments:
-        """Return volume, centroid and second moments of what it encloses.
+        """Return volume, centroid and second moments of what it encloses; closed holes are in ``border``.
 
         Raises
         ------
         StapeskitError
             It encloses no positive volume.
         """
-        return Moments(*enclosed_moments(self.vertices_mm, self.faces))
+        moments = Moments(*enclosed_moments(self.vertices_mm, self.faces))
+        for cap in self.caps:
+            moments = moments.with_lump("border", cap.middle_mm, cap.dome_mm3)
+        return moments
 
     def mesh(self) -> PolyData:
         """Return the surface as a mesh of pyvista, mm."""

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ct_inertia.bodies import BodySurface
 from ct_inertia.frames.anatomy import NO_HINT, AnatomyHints, directions, in_array_words
 from ct_inertia.frames.footplate import FootplateFrame, footplate_frame
 from ct_inertia.frames.footplate_face import solve_at
-from ct_inertia.frames.footplate_sd import Influence, SurfaceError
+from ct_inertia.frames.footplate_sd import Influence, shown_noise
 from ct_inertia.frames.landmarks import read_landmarks
 from ct_inertia.surface.surface import Surface
 from simulate import Stapes, rod, stapes_solid
@@ -146,6 +147,10 @@ def test_the_directions_are_named_by_the_side() -> None:
     assert in_array_words(np.array([0.0, 0.0, 1.0]), turned) == "falling z (slices)"
 
 
+NOTHING = np.zeros((2, 2, 2), dtype=np.float32)
+FITTED = BodySurface(NOTHING, np.eye(4), 0.0, 9e-4 * np.eye(3), NOTHING, 0.1, level_sd_mm=0.004)
+
+
 def test_influence_functions_predict_what_a_bump_does() -> None:
     """Heights well inside the face move y and the tilts by the integral of their influence.
 
@@ -154,7 +159,7 @@ def test_influence_functions_predict_what_a_bump_does() -> None:
     stapes = Stapes(family="analytic", step_mm=0.02)
     surface = surface_of(stapes)
     base = found_of(stapes).scan_from_footplate
-    solved = solve_at(surface, -POSE.rotation[:, 1], 3.7, 0.0)
+    solved = solve_at(surface, -POSE.rotation[:, 1], 3.7)
     solved = solved.turned(float(np.sign(solved.axes[:, 0] @ base.rotation[:, 0])))
     influence = Influence(solved)
     local = base.inverse().points(surface.vertices_mm)
@@ -178,34 +183,32 @@ def test_influence_functions_predict_what_a_bump_does() -> None:
 
 
 def test_noise_of_the_height_scatters_the_frame_as_stated() -> None:
-    """White height noise of a given density on the medial side, twelve surfaces: y and the tilts."""
-    stapes = Stapes(family="analytic", step_mm=0.04)
-    surface = surface_of(stapes)
-    base = found_of(stapes)
-    solved = solve_at(surface, -POSE.rotation[:, 1], 3.7, 0.0)
+    """White height noise on twelve surfaces: scatter of the frame, and the noise that they show."""
+    surface = surface_of(Stapes(family="analytic", step_mm=0.03))
     normals = np.zeros_like(surface.vertices_mm)
     areas = np.zeros(len(surface.vertices_mm))
     for corner in range(3):
         np.add.at(normals, surface.faces[:, corner], surface.area_vectors_mm2)
         np.add.at(areas, surface.faces[:, corner], np.linalg.norm(surface.area_vectors_mm2, axis=1) / 3.0)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    density = 1e-9  # mm4
+    density = 3e-9  # mm4
     rng = np.random.default_rng(5)
-    steps = []
+    poses, stated, shown = [], [], []
     for _ in range(12):
         noise = rng.standard_normal(len(areas)) * np.sqrt(density / areas)
         shaken = Surface(surface.vertices_mm + noise[:, None] * normals, surface.faces)
-        found = footplate_frame(shaken, AnatomyHints(POSE.rotation[:, 0]))
-        steps.append(displacement(base.scan_from_footplate, found.scan_from_footplate))
-    stated = np.sqrt(np.diag(Influence(solved).white_heights() * density))
-    scatter = np.sqrt(np.mean(np.square(steps), axis=0))
-    ratio = scatter[[1, 3, 5]] / stated[[1, 3, 5]]
-    assert np.all((ratio > 0.5) & (ratio < 1.9))  # chi of 12 at 0.1 %; the rim adds a little
+        frame = footplate_frame(shaken, AnatomyHints(POSE.rotation[:, 0]), FITTED)
+        poses.append(frame.scan_from_footplate)
+        stated.append(np.sqrt(np.diag(frame.contributions["noise"])))
+        shown.append(shown_noise(solve_at(shaken, -POSE.rotation[:, 1], 3.7)))
+    assert np.median(shown) == pytest.approx(density, rel=0.3)
+    steps = np.array([displacement(poses[0], pose) for pose in poses[1:]])
+    ratio = np.std(steps, axis=0, ddof=1) / np.median(stated, axis=0)
+    assert np.all((ratio > 0.5) & (ratio < 1.9))  # chi of 11 at 0.1 %
 
 
 def test_a_level_that_errs_moves_the_origin_by_its_shift() -> None:
-    error = SurfaceError(fitted=True, spread_mm2=9e-4 * np.eye(3), level_sd_mm=0.004)
-    frame = footplate_frame(surface_of(Stapes()), AnatomyHints(POSE.rotation[:, 0]), error)
+    frame = footplate_frame(surface_of(Stapes()), AnatomyHints(POSE.rotation[:, 0]), FITTED)
     sd = np.sqrt(np.diag(frame.contributions["levels"]))
     np.testing.assert_allclose(sd, [0.0, 4e-6, 0.0, 0.0, 0.0, 0.0])
 
