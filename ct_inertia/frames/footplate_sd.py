@@ -31,7 +31,8 @@ _SECTORS = 12  # of the rim: each some tenths of a millimetre long
 _LEAST_CURVATURE = 0.2  # 1/mm: a rim that bends less is none
 _EDGE_LEFT = calibrated("footplate.edge_left")
 _LONG_AXIS_LEFT_RAD = calibrated("footplate.long_axis_left_rad")
-_MESH_BLUR = 1.5  # triangles: of a scan whose surface somebody cut at half level; scanners have 1 to 1.5
+_MESH_BLUR = 1.2  # triangles: of a scan whose surface somebody cut at half level, as scanners have it
+_MOST_TRIANGLE_MM = 0.04  # larger ones are of a mesh that was thinned, not of a coarser scan
 _MOST_WANTING = 4.0  # steps of diffusion beyond which a resolution is no small error
 
 
@@ -54,7 +55,7 @@ def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Arra
     influence = Influence(solved)
     parts = {"noise": influence.noise(shown_noise(solved))}
     if body is None:
-        blur = _MESH_BLUR * region.edge_mm
+        blur = _MESH_BLUR * min(region.edge_mm, _MOST_TRIANGLE_MM)
         spread, left = blur**2 * np.eye(3), 0.5  # all of what blur does
         trial = _displacement(solved, solve(region.sharpened(blur), y_axis))
         parts["blur"] = np.outer(trial, trial)
