@@ -11,13 +11,19 @@ from stapeskit.option_types import (
     CountOrZero,
     Flag,
     Folder,
+    Kind,
     ReadFiles,
     Text,
     Words,
+    entries,
+    text,
 )
 from stapeskit.options import Opt, Options, Rule
 
 _RUN, _COHORT = "running", "several studies"
+Changes = Annotated[
+    tuple[str, ...], Kind(lambda value: tuple(map(text, entries(value))), "a change of an ear", "CHANGE")
+]
 
 
 class RunOptions(Options):
@@ -86,13 +92,17 @@ class CompareOptions(Options):
 
     rules: ClassVar[tuple[Rule, ...]] = (
         Rule(
-            lambda v: len(v.folders) != 2,
-            lambda v: Fault("RESULT", "two folders of finished studies", len(v.folders)),
+            lambda v: len(v.folders) not in ((1, 2) if v.what_if else (2,)),
+            lambda v: Fault("RESULT", "two folders, or one with --what-if", len(v.folders)),
         ),
     )
 
     folders: Annotated[
         ReadFiles, Opt("output folders of two studies", positional=True, repeats=True, name="result")
+    ] = ()
+    what_if: Annotated[
+        Changes,
+        Opt("a change: K*10, D*2 or mass+5mg@head; once for each", example=["K*10"], repeats=True),
     ] = ()
     out: Annotated[Folder, Opt("folder of the page and the table")] = Path("compare_out")
     force: Annotated[Flag, Opt("replace files that this command did not write")] = False

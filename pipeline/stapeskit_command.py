@@ -8,6 +8,7 @@ from stapeskit.command import Outcome, run
 
 TYPE_CHECKING = False  # everything is imported on first use, so that the help is quick
 if TYPE_CHECKING:
+    from pathlib import Path
     from typing import NoReturn
 
 _HELP = """\
@@ -20,6 +21,7 @@ of a stapes.
   new [DIR]      write a study.toml for the files of DIR (--yes: ask nothing)
   app [FOLDER]   the whole chain in one page in the browser
   compare A B    two results side by side: differences, responses
+                 (--what-if K*10: of one or both, what a change would do)
   ct2mass        scan to mass matrix
   points2dof     vibrometer file to rigid-body motion
   dof2kd         motion and mass to stiffness and damping
@@ -114,20 +116,30 @@ def _app(words: list[str]) -> None:
 
 
 def _compare(words: list[str]) -> Outcome:
-    """Compare two results."""
+    """Compare two results, or predict the effect of changes on one or both."""
     from pipeline.command_options import CompareOptions
-    from pipeline.compare import compare, write_comparison
+    from pipeline.compare import compare, read_folders, write_comparison
+    from pipeline.what_if import SENTENCE, effect_rows, read_change
     from stapeskit.command_line import parse
 
-    (chosen,) = parse("stapeskit compare", "Two results side by side.", [CompareOptions], words)
-    inputs = [folder / name for folder in chosen.folders for name in ("mass.json", "kd.json", "dof.h5")]
-    found = compare(*chosen.folders)
-    files = write_comparison(found, chosen.out, inputs, chosen.force)
-    rows = [(f"verdict of {ear.name}", ear.verdict or "not stated") for ear in found.ears]
-    rows += [
-        (name, f"{first} | {second}; difference {change}, p = {p}")
-        for name, first, second, change, p in found.rows()
-    ]
+    text = "Two results side by side, or what a change would do to one or both."
+    (chosen,) = parse("stapeskit compare", text, [CompareOptions], words)
+    changes, folders = [read_change(change) for change in chosen.what_if], chosen.folders
+    inputs = [folder / name for folder in folders for name in ("mass.json", "kd.json", "dof.h5")]
+    rows: list[tuple[str, str]] = []
+    files: list[Path] = []
+    if len(folders) == 2:
+        found = compare(*folders)
+        files += write_comparison(found, chosen.out, inputs, chosen.force)
+        rows += [(f"verdict of {ear.name}", ear.verdict or "not stated") for ear in found.ears]
+        rows += [
+            (name, f"{first} | {second}; difference {change}, p = {p}")
+            for name, first, second, change, p in found.rows()
+        ]
+    if changes:
+        for ear, folder in zip(read_folders(folders), folders, strict=True):
+            rows += [row for change in changes for row in effect_rows(ear, folder, change)]
+        rows.append(("mind", SENTENCE))
     return Outcome("results side by side", rows, (), files)
 
 

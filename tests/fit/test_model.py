@@ -5,8 +5,6 @@ import pytest
 
 from fitting.laws import LAWS, DampingLaw
 from fitting.model import modes, moved_eigenvalues, principal_axes, simulate
-from fitting.unknowns import point
-from stapeskit.spatial import matrix_from_parameters
 from tests.fit.fit_cases import D, K, M
 
 
@@ -76,9 +74,3 @@ def test_eigenvalues_near_by_are_those_of_each_model():
         for number in (0, 7):
             own = modes(M, factors[number] * K, damping, law)
             assert values[number] == pytest.approx([mode.eigenvalue for mode in own.pairs], rel=1e-8)
-
-
-def test_a_point_mass_has_the_energy_of_its_velocity():
-    place, q = np.array([0.3e-3, 3e-3, -0.2e-3]), np.array([1.0, -2.0, 0.5, 300.0, 100.0, -200.0])
-    velocity = q[:3] + np.cross(q[3:], place)
-    assert q @ matrix_from_parameters(point(place, 5e-6)) @ q == pytest.approx(5e-6 * velocity @ velocity)

@@ -59,7 +59,7 @@ def test_of_two_measurements_the_answer_names_one(files: Path) -> None:
 
 WRONG = [
     "app --port", "app --port abc", "app --port=99999", "app --nope", "app nowhere --no-browser",
-    "compare", "compare nowhere elsewhere", "compare nowhere", "compare a b --out --force",
+    "compare", "compare nowhere elsewhere", "compare nowhere --what-if K", "compare a b --out --force",
     "sample", "sample a b", "sample --yes a", "sample scan.nrrd",
     "new nowhere", "new scan.nrrd", "new --nope", "new empty",
 ]  # fmt: skip
