@@ -176,6 +176,9 @@ class BodySurface:
         blur back); a voxel's width for labels.
     spread_mm2 : ndarray, (3, 3)
         Covariance, in scan axes, of what edges are seen through: blur, smoothing, interpolation.
+    noise_mm4 : float
+        Spectral density of the height noise at long waves by the noise of the grey values: where neighbours
+        share it, more than the surface shows at short ones.
     misfit_sd_mm : ndarray of float32, [z, y, x]
         Standard deviation of the height by place that the misfit of the scene leaves, common over
         ``misfit_mm``; 0 where the scene fits to the noise.
@@ -191,6 +194,7 @@ class BodySurface:
     scan_from_index: Array
     blur_mm: float
     spread_mm2: Array
+    noise_mm4: float
     misfit_sd_mm: Grey
     misfit_mm: float
     level_sd_mm: float

@@ -53,7 +53,8 @@ def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Arra
     """
     region, y_axis = solved.region, solved.axes[:, 1]
     influence = Influence(solved)
-    parts = {"noise": influence.noise(shown_noise(solved))}
+    known = 0.0 if body is None else body.noise_mm4
+    parts = {"noise": influence.noise(max(shown_noise(solved), known))}
     if body is None:
         blur = _MESH_BLUR * min(region.edge_mm, _MOST_TRIANGLE_MM)
         spread, left = blur**2 * np.eye(3), 0.5  # all of what blur does

@@ -52,6 +52,7 @@ def mask_surface(mask: Mask, labelled: Labelled) -> BodySurface:
         scan_from_index=box.scan_from_index,
         blur_mm=blur,
         spread_mm2=blur**2 * np.eye(3),
+        noise_mm4=0.0,
         misfit_sd_mm=np.zeros(mask.shape, dtype=np.float32),
         misfit_mm=edge,
         level_sd_mm=float(_THRESHOLD_SD) * edge,

@@ -77,7 +77,7 @@ def test_labels_state_no_smaller_sd_than_the_scan_alone(study: Study) -> None:
     ratio = np.sqrt(np.diag(by_labels.footplate.covariance) / np.diag(by_scan.footplate.covariance))
     assert np.all(ratio > 0.7)  # the surface is another one by less than its noise
     assert by_labels.moments.volume_sd_mm3 > 0.7 * by_scan.moments.volume_sd_mm3
-    assert {"noise", "rim", "resolution"} <= set(by_labels.footplate.contributions)
+    assert {"noise", "edges", "resolution"} <= set(by_labels.footplate.contributions)
 
 
 def test_own_labels_given_back_weigh_the_same(study: Study, tmp_path: Path) -> None:

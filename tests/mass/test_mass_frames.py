@@ -148,7 +148,7 @@ def test_the_directions_are_named_by_the_side() -> None:
 
 
 NOTHING = np.zeros((2, 2, 2), dtype=np.float32)
-FITTED = BodySurface(NOTHING, np.eye(4), 0.0, 9e-4 * np.eye(3), NOTHING, 0.1, level_sd_mm=0.004)
+FITTED = BodySurface(NOTHING, np.eye(4), 0.0, 9e-4 * np.eye(3), 0.0, NOTHING, 0.1, level_sd_mm=0.004)
 
 
 def test_influence_functions_predict_what_a_bump_does() -> None:

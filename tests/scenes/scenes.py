@@ -142,8 +142,6 @@ SCENES: dict[str, Scene] = {
     "eight_bits": _ct(Scan(voxel_um=32.0, dtype="uint8", window=(4000.0, 36000.0), seed=8)),
     "correlated_noise": _ct(
         Scan(voxel_um=32.0, noise=0.05, noise_correlation_voxels=1.0, seed=9),
-        codes=_mass("plate_axis_ambiguous"),
-        without=("plate_axis_sign",),
     ),
     "round_field_of_view": _ct(
         Scan(voxel_um=32.0, round_field=True, padding=0.0, seed=10), codes=_mass("file_read")
