@@ -195,7 +195,7 @@ def _body(
         value[place][own], listed[place] = row.value[own], True
         if row.sd is not None and row.relative == relative:
             spread[place][own] = np.asarray(row.sd)[own]
-    positions, missing = _positions(rows, points), np.isnan(value.real)
+    positions, missing = _positions(rows, points), np.isnan(value)
     gaps = missing & listed & ~np.all(missing, axis=1, keepdims=True)
     lacking = [row.name for row, one in zip(first.values(), gaps.swapaxes(0, 1), strict=True) if np.any(one)]
     hidden = float(np.mean([row.hidden for row in noisy if row.relative == relative])) if noisy else 0.0

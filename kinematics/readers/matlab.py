@@ -221,7 +221,8 @@ class Variables:
         """Return the names of the matrices that may be points x columns as well as columns x points."""
         read = {name for parts in self._beams().values() for name in parts.values()}
         read |= {self.name(role) for role in ("position", "direction") if self.name(role)}
-        return [name for name in read if np.ndim(one := self.held[name]) == 2 and len(set(one.shape)) == 1]
+        shapes = {name: np.shape(self.held[name]) for name in sorted(read)}
+        return [name for name, shape in shapes.items() if len(shape) == 2 and len(set(shape)) == 1]
 
     def _rows_of(self, parts: Mapping[str, str], axis: str) -> list[Row]:
         """Return one row for every point of a beam, whose real and imaginary ``parts`` may be apart."""

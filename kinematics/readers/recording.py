@@ -13,6 +13,7 @@ from kinematics.measurement import QUANTITIES, direction_name
 from kinematics.readers.units import SI_UNITS, MotionUnit
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, Place
+from stapeskit.units import LARGEST
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -37,9 +38,13 @@ def from_parts(real: Array, imaginary: Array) -> ComplexArray:
 
 
 def from_polar(magnitude: Array, phase: Array, turn: float) -> ComplexArray:
-    """Return complex numbers of magnitudes and of phases in units of ``turn`` radians."""
+    """Return complex numbers of magnitudes and of phases in units of ``turn`` radians.
+
+    A phase that is no angle, as an infinite one, makes an infinite value, which is refused, not a missing one.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.asarray(magnitude * np.exp(1j * turn * phase))
+        value = np.asarray(magnitude * np.exp(1j * turn * phase))
+    return np.where(np.abs(phase) > LARGEST, np.inf, value)
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,7 @@ def settled(found: Recording, facts: FileFacts) -> Recording:
     faults += [*_unit_of_lines_faults(rows), *_thousands_faults(rows)]
     rows = _in_si(rows, faults, notices)
     if any(np.any(row.freq_hz == 0.0) for row in rows):
-        rows = [_at(row, row.freq_hz != 0.0) for row in rows]
+        rows = [_at(row, row.freq_hz != 0.0) if np.any(row.freq_hz != 0.0) else row for row in rows]
         notices.append(Notice("file_read", f"the line at 0 Hz of {file} holds no motion and was dropped."))
     raise_all([*faults, *_line_faults(rows), *_range_faults(rows)])
     rows, about_lines = on_one_grid(rows, file)

@@ -45,8 +45,11 @@ def test_units_of_columns(head, tmp_path):
 
 def test_amplitude_and_phase(tmp_path):
     rows = ["stapes,1,0,0,0,y,100,2,90", "stapes,1,0,0,0,y,200,1,-180"]
-    measured = read_measurement([table(tmp_path, rows, HEAD.replace("re_m_s,im_m_s", "amp_mm_s,phase_deg"))])
+    head = HEAD.replace("re_m_s,im_m_s", "amp_mm_s,phase_deg")
+    measured = read_measurement([table(tmp_path, rows, head)])
     assert np.allclose(measured.bodies[0].value[0, 0], [2e-3j, -1e-3], atol=1e-18)
+    (fault,) = faults(table(tmp_path, [*rows, "stapes,1,0,0,0,y,300,1,inf"], head))
+    assert (fault.got, fault.where.numbers) == ("inf", (4,))  # infinite, and so not missing
 
 
 def test_order_of_rows_does_not_matter(tmp_path):
