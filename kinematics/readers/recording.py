@@ -40,7 +40,7 @@ def from_parts(real: Array, imaginary: Array) -> ComplexArray:
 def from_polar(magnitude: Array, phase: Array, turn: float) -> ComplexArray:
     """Return complex numbers of magnitudes and of phases in units of ``turn`` radians.
 
-    A phase that is no angle, as an infinite one, makes an infinite value, which is refused, not a missing one.
+    A phase that is no angle, as an infinite one, makes an infinite value: it is refused, not missing.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         value = np.asarray(magnitude * np.exp(1j * turn * phase))

@@ -241,6 +241,10 @@ def test_mass_of_a_plain_file(tmp_path):
     assert faults[0].where.detail == "column 2"
     file.write_text("1,2,3\n4,5,6\n")
     assert refused(lambda: read_mass_csv(file, DOF))[0].thing == "M.csv"
+    wrong, (motion, _) = full_mass(), paper_motion(0.02, 1, 40)
+    wrong[3, 3] *= 100.0  # of no body: its moments break the triangle inequality
+    assert refused(lambda: fit(motion, wrong))
+    assert refused(lambda: fit(motion, np.eye(2)))[0].got == "2 x 2"
     assert refused(lambda: read_mass_csv(tmp_path / "none.csv", DOF))[0].thing == "--mass"
 
 

@@ -135,6 +135,10 @@ def test_points_with_places_in_the_plate_are_fitted() -> None:
     local = np.array([*CORNERS, [0.3, 0.7, -0.4]])
     frame = plate_frame_from_fiducials(PlateFiducials(tuple("abcde"), POSE.points(local), local), STAPES)
     np.testing.assert_allclose(frame.scan_from_plate.matrix, POSE.matrix, atol=1e-9)
+    with pytest.raises(StapeskitError):  # on a line
+        plate_frame_from_fiducials(
+            PlateFiducials(("a", "b", "c"), np.arange(3.0)[:, None] * np.ones(3)), STAPES
+        )
 
 
 def test_fiducials_are_read_with_what_they_have(tmp_path: Path) -> None:

@@ -78,6 +78,15 @@ def test_none_turns_a_companion_off(ear):
     assert {fault.next_step for fault in caught.value.faults} == {"Give them with --points points.csv"}
 
 
+def test_fiducials_on_the_plate_without_a_mass_say_how_to_go_on(tmp_path):
+    simulated(tmp_path, lines=12)
+    with pytest.raises(StapeskitError) as caught:
+        points2dof(tmp_path / "ldv.csv")
+    fault = caught.value.faults[0]
+    assert fault.got == "no mass.json"
+    assert "--fiducials none" in fault.next_step
+
+
 def test_two_masses_beside_a_measurement_are_refused(tmp_path):
     simulated(tmp_path, lines=12)
     for name in ("a_mass", "b_mass"):

@@ -265,6 +265,14 @@ def test_points_that_lie_on_the_bone_raise_no_alarm(tmp_path):
     assert 0.3 < np.mean(sizes) < 1.2
 
 
+def test_axes_are_those_of_the_file_when_one_is_mirrored(tmp_path):
+    truth = simulated(tmp_path, seed=3, mirror="z")
+    turned_points(tmp_path, axes_changes()["the axes x and z exchanged"])
+    with pytest.raises(StapeskitError) as caught:
+        measured(tmp_path, mass_of(truth), mirror="z")
+    assert "the axes x and z exchanged" in caught.value.faults[0].next_step
+
+
 def test_half_turns_of_the_references_are_named_also_where_they_bring_points_near_the_bone(tmp_path):
     truth = simulated(tmp_path, seed=3)
     change = axes_changes()["the axes x and z reversed"]

@@ -158,6 +158,9 @@ def test_a_line_at_0_hz_may_hold_anything():
     )
     assert np.array_equal(found.freq_hz, FREQ_HZ)
     assert any("0 Hz" in notice.text for notice in found.notices)
+    with pytest.raises(StapeskitError) as caught:
+        one(row("1", [0.0]))
+    assert caught.value.faults[0].got == "0"
 
 
 def test_positions_of_two_sources_must_agree(tmp_path):

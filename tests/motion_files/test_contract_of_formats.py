@@ -5,6 +5,7 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
+from kinematics.readers.facts import FileFacts
 from kinematics.readers.formats import FORMATS, format_of, read_file
 from stapeskit.faults import StapeskitError
 from tests.motion_files.written_files import FREQ_HZ, OTHERS, PLACES_M, VELOCITY, WRITERS
@@ -76,6 +77,13 @@ def test_damaged_files_end_in_values_or_in_a_refusal(name, tmp_path):
             recording = read_file(path, facts)
             assert recording.value.shape == (len(recording.rows), len(recording.freq_hz))
             assert np.all(np.diff(recording.freq_hz) > 0.0)
+
+
+def test_other_scan_files_are_refused_with_how_to_export(tmp_path):
+    (tmp_path / "a.pvd").write_bytes(b"a scan of another program")
+    with pytest.raises(StapeskitError) as caught:
+        read_file(tmp_path / "a.pvd", FileFacts())
+    assert "UFF" in caught.value.faults[0].next_step
 
 
 def test_files_of_no_known_format_are_refused_with_what_to_do(tmp_path):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import SimpleITK as sitk
 import tifffile
+from PIL import Image
 
 from ct_inertia.scan.open_scan import open_labels, open_scan
 from ct_inertia.scan.raw import RawLayout
@@ -57,6 +58,9 @@ def test_claims_of_terabytes_are_refused_before_anything_is_allocated(tmp_path, 
     fault = refused(CLAIMS[name](tmp_path / name))
     assert fault.thing in ("the scan", f"the {'NRRD'} scan")
     assert "bytes" in fault.got or "memory" in fault.got or "MB" in fault.got
+    if name == "a.nii":
+        (tmp_path / "a.nii.gz").write_bytes(gzip.compress((tmp_path / name).read_bytes()))
+        assert "420 bytes" in refused(tmp_path / "a.nii.gz").got
 
 
 def test_zarr_metadata_that_are_none(tmp_path):
@@ -342,3 +346,24 @@ def test_a_packed_nifti_is_read_to_its_check_sum(tmp_path):
     with pytest.raises(StapeskitError) as caught:
         open_scan(path).read()
     assert "a damaged or truncated one" in caught.value.faults[0].got
+
+
+def test_an_imagej_description_that_counts_other_slices(tmp_path):
+    text = "ImageJ=1.54f\nimages=9\nslices=9\nunit=mm\nspacing=0.03\n"
+    with tifffile.TiffWriter(tmp_path / "a.tif") as writer:
+        for k, plane in enumerate(picture()):
+            writer.write(plane, metadata=None, contiguous=False, description=text if k == 0 else None)
+    fault = refused(tmp_path / "a.tif")
+    assert "(9)" in fault.expected
+    assert fault.got == "7 slices"
+
+
+@pytest.mark.parametrize("equal", [True, False])
+def test_slices_in_colours_are_read_where_the_colours_are_equal(tmp_path, equal):
+    for k, image in enumerate(picture("u1")):
+        colours = [Image.fromarray(image if equal else np.roll(image, band)) for band in range(3)]
+        Image.merge("RGB", colours).save(tmp_path / f"{k}.png")
+    if equal:
+        assert np.array_equal(open_scan(tmp_path, SPACING).read(), picture("u1"))
+    else:
+        assert refused(tmp_path).expected == "grey values"

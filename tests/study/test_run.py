@@ -18,6 +18,7 @@ from pipeline.study import TABLES, in_keys, read_study
 from simulate import Truth
 from stapeskit.faults import StapeskitError
 from stapeskit.outputs import MANIFEST
+from stapeskit.report import page
 from stapeskit.warnings import Notice
 from tests.scenes.chain import Outcome, fit_distance
 
@@ -180,6 +181,9 @@ def test_confirmed_warnings_do_not_lower_the_verdict(
     study = copied(small, tmp_path, study=f"confirmed = [{listed}]")
     shutil.copytree(finished.out, tmp_path / "out")
     assert run_study(study, tmp_path / "out").fit.verdict.level == "believe"
+    asked = [Notice("handedness_unconfirmed", "turned?")]  # on the page, too, by its first words
+    assert page.notices(asked, ["handedness"]) == page.notices(asked, ["handedness_unconfirmed"])
+    assert page.notices(asked, ["handedness"]) != page.notices(asked)
 
 
 def test_every_figure_of_the_report_as_pdf_and_svg(finished: StudyResult, tmp_path: Path) -> None:
