@@ -96,7 +96,7 @@ FORMATS = (
     ),
     Format(
         "uff", "a universal file (.uff, .unv)", lambda head: bool(_UFF.match(head.content)),
-        "functions (58, 58b), nodes (15, 2411) in the global system, units (164)",
+        "functions (58, 58b), nodes (15, 2411), coordinate systems (18, 2420), units (164)",
         libraries=("pyuff",),
     ),
     Format(
