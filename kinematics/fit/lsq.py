@@ -181,7 +181,8 @@ def _weighted(basis: Array, y: ComplexArray, noise: Array) -> tuple[ComplexArray
     instead (Golub and Van Loan 2013, Matrix Computations, 5.3).
     """
     size = basis.shape[1]
-    top = np.maximum(noise.max(axis=0), 1e-300)
+    top = noise.max(axis=0)
+    top = np.where(top > 0.0, top, 1.0)  # lines without values
     w = noise / top
     shared = bool(np.all(np.abs(w - w[:, :1]) <= _SAME_RATIO * w[:, :1]))
     some = w[:, :1] if shared else w

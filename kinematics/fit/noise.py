@@ -82,8 +82,9 @@ def _unsure_noise(fit: LineFit, unsure: Array) -> float:
 
 
 def _levels(measurement: Measurement, body: BodyChannels, beams: BeamSet, run: int) -> ChannelLevels:
-    """Return the noise of channels over the middle one from lines all over the band."""
-    some = slice(None, None, max(1, len(measurement.freq_hz) // _LEVEL_LINES))
+    """Return the noise of channels over the middle one from lines of the body all over the band."""
+    measured = np.flatnonzero(np.isfinite(body.value[run]).any(axis=0))
+    some = measured[:: max(1, len(measured) // _LEVEL_LINES)]
     value, rate = body.value[run][:, some], measurement.per_displacement[some]
     sd, levels = assumed_sd(body, run)[:, some], ChannelLevels.as_assumed(len(value))
     if body.sd is not None or fit_lines(beams, value, sd, rate).solution.is_rounding():

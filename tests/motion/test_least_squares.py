@@ -169,3 +169,19 @@ def test_channels_of_unlike_noise_get_their_weights_where_none_is_stated():
         spread = np.diagonal(fit.covariance, axis1=1, axis2=2)
         squares.append((np.mean(np.abs(error) ** 2 / size), np.mean(np.abs(error) ** 2 / spread)))
     assert np.mean(squares, axis=0) == pytest.approx([1.05, 1.0], abs=0.1)
+
+
+@pytest.mark.parametrize("level_lines", [2000, 60])
+def test_lines_at_which_a_body_was_not_measured_leave_the_others_as_they_are(level_lines, monkeypatch):
+    """Levels of channels come from lines that have values, however many are skipped."""
+    monkeypatch.setattr("kinematics.fit.noise._LEVEL_LINES", level_lines)
+    recording = recorded(7, lines=120, noise_spread=(0.3, 3.0))
+    whole = as_measurement(recording, stated=False)
+    (body,) = whole.bodies
+    value = body.value.copy()
+    value[..., ::2] = np.nan
+    _, (holed,) = fitted(replace(whole, bodies=(replace(body, value=value),)))
+    alone = replace(body, value=body.value[..., 1::2])
+    _, (dense,) = fitted(replace(whole, freq_hz=whole.freq_hz[1::2], bodies=(alone,)))
+    assert np.allclose(holed.q[1::2], dense.q, rtol=1e-9, atol=0.0)
+    assert np.allclose(holed.covariance[1::2], dense.covariance, rtol=0.1, atol=0.0)
