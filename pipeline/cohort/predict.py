@@ -153,5 +153,7 @@ def left_out(pairs: LogPairs, profile: Profile) -> tuple[Array, Array]:
         errors[out] = ear.y - mean_y - gain * (ear.x - mean_x)
         across = np.stack([-gain, np.ones_like(gain)], axis=1)
         variance = np.einsum("ni,nij,nj->n", across, psi + covariance[0] + ear.own, across)
-        p_values[out] = 2.0 * stdtr(rest.degrees, -np.abs(errors[out]) / np.sqrt(variance))
+        # two ears of one person may scatter alike: the scatter is known by persons, not by ears
+        degrees = max(len(np.unique(rest.subject)) - 2, 1)
+        p_values[out] = 2.0 * stdtr(degrees, -np.abs(errors[out]) / np.sqrt(variance))
     return errors, p_values

@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 from pipeline.cohort.law import LogPairs, Profile, fit_law, scatter_interval
+from pipeline.cohort.predict import left_out
 from tests.cohort.simulated_pairs import cohort
 
 
@@ -106,3 +107,15 @@ def test_the_interval_is_where_the_p_value_exceeds_5_percent():
     profile = Profile(pairs.shifted(pairs.x.mean(), pairs.y.mean()))
     for end in law_of(pairs).interval:
         assert profile.p_value(end) == pytest.approx(0.05, abs=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_second_ear_of_each_person_makes_no_ear_unlike_the_others(seed):
+    """Ears of a person that are alike say nothing new of the scatter between persons."""
+    rng, person = np.random.default_rng(seed), np.repeat(np.arange(7), 2)
+    one, _ = cohort(rng, 7, error=(0.0, 0.0, 0.0))
+    one = LogPairs(one.x, one.y, one.own + 1e-8 * np.eye(2), one.shared, one.subject)
+    x, y = (values[person] + 0.01 * rng.normal(size=14) for values in (one.x, one.y))
+    both = LogPairs(x, y, one.own[person], one.shared[person], person)
+    alone, paired = (left_out(pairs, fit_law(pairs)[1])[1] for pairs in (one, both))
+    assert np.all(paired[::2] > 0.3 * alone)
