@@ -104,7 +104,7 @@ def _scatter(now: Round) -> Iterator[Cause]:
     """Look for random errors of one kind at all channels or points."""
     points = list(now.layout.by_point(now.live).values())
     gains = ("%", 100.0, "Calibrate the channels, or state larger errors of gains")
-    places = ("mm", 1e3, "State them as sd_mm in points.csv, or measure the points again")
+    places = ("mm", 1e3, "Compare rows and points (a row too many, exchanged names), or state larger sd_mm")
     for name, own, tangents, (unit, factor, step) in (
         ("factors of points", points, (GAIN, PHASE), gains),
         ("gains of channels", [[channel] for channel in now.live], (GAIN,), gains),
