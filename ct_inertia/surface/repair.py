@@ -35,7 +35,7 @@ def read_mesh(path: Path | str, close: bool = False) -> Surface:
     ----------
     path : Path or str
     close : bool
-        Fill its holes.
+        Fill its holes; several open pieces are replaced by where their winding number passes one half.
 
     Raises
     ------
@@ -125,11 +125,8 @@ def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Surfa
         if not close:
             step = "Close them in the program that made the surface (a solid fill), or let --close do it"
             raise StapeskitError.of("the surface", "closed", f"{where} in {len(faces)} faces", name, step)
-        vertices, faces, caps = _closed(vertices, faces, name)
-        text = (
-            f"{name} had {where}; they were closed (--close). The budget holds what a surface that bends on "
-            "evenly would add (border): look at it."
-        )
+        vertices, faces, caps, how = _closed(vertices, faces, name)
+        text = f"{name} had {where}; {how} (--close). The budget holds what may be missing: look at it."
         notices.append(Notice("holes_closed", text))
     faces, turned = _oriented(vertices, faces, name)
     if turned:
@@ -183,19 +180,21 @@ def _edges(faces: Faces) -> Faces:
     return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 
 
-def _closed(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, tuple[Cap, ...]]:
-    """Fill the holes of a mesh of one open piece, and say what each may lack.
+def _closed(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, tuple[Cap, ...], str]:
+    """Close an open mesh, say what it may lack, and how: open pieces would count twice where they overlap.
 
     Raises
     ------
     StapeskitError
-        Several open pieces, which would count twice where they overlap; holes that cannot be filled, or
-        where the surface is cut off: nothing shows how much is missing there.
+        Holes that cannot be filled, or where the surface is cut off: nothing shows how much is missing there.
     """
+    from ct_inertia.surface.winding import winding_surface
+
     step = "Close it in the program that made it, where what is missing is known"
-    opened = sum(len(boundary_edges(faces[piece])) > 0 for piece in pieces(faces))
-    if opened > 1:
-        raise StapeskitError.of("the surface", "of one open piece for --close", opened, name, step)
+    if sum(len(boundary_edges(faces[piece])) > 0 for piece in pieces(faces)) > 1:
+        made = winding_surface(vertices, faces, name)
+        how = "its pieces were replaced by the surface of winding number one half"
+        return made.vertices_mm, made.faces, made.caps, how
     vertices, faces, new = _filled(vertices, faces)
     if not new.any() or len(boundary_edges(faces)):
         got = "holes that pymeshlab cannot fill"
@@ -205,7 +204,7 @@ def _closed(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, tup
     if cut:
         expected = f"one that bends by at most {_STEEPEST_DEG:g} degrees at the rim of a hole for --close"
         raise StapeskitError.of("the surface", expected, f"cut off {' and '.join(cut)}", name, step)
-    return vertices, faces, caps
+    return vertices, faces, caps, "they were filled"
 
 
 def _filled(vertices: Array, faces: Faces) -> tuple[Array, Faces, NDArray[np.bool_]]:
