@@ -313,7 +313,7 @@ def _plate_frame(work: _Work, moments: Moments) -> PlateFrame | None:
                     "The scan holds several bodies of plastic; the one nearest to the stapes was taken for "
                     "the plate. If it is another one, label it (--labels) or give --plate-fiducials."
                 )
-                work.notices.append(Notice("plate_axis_ambiguous", several))
+                work.notices.append(Notice("plate_uncertain", several))
             return pose
         text = "The plastic beside the stapes has no plane face towards it, as a tube or a holder has none"
         if region is None or not region.named:
