@@ -361,7 +361,8 @@ def alike_lines(found: Fit) -> float:
     where residuals are no noise as stated: in a misfit, and where they are smaller.
     """
     white, run = found.likelihood.look(found.theta)[0], found.data.run
-    if len(white) < 2 * _FAR[-1] or found.weights is not None or found.quiet or not found.explained:
+    longest = int(np.max(np.bincount(run), initial=0))
+    if longest < 2 * _FAR[-1] or found.weights is not None or found.quiet or not found.explained:
         return 1.0
     size = np.mean(np.abs(white) ** 2)
 

@@ -257,6 +257,16 @@ def test_noise_that_neighbouring_lines_share_is_found_and_widens_the_intervals()
     assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.3)
 
 
+def test_runs_that_are_shorter_than_a_window_say_nothing_of_noise_that_neighbours_share():
+    freq, q = exact_motion(8, directions="yxz")
+    rng = np.random.default_rng(3)
+    sd = 0.01 * np.sqrt(np.mean(np.abs(q) ** 2, axis=(0, 1, 2)))
+    noise = sd * rng.standard_normal((2, *q.shape)) * np.sqrt(0.5)
+    covariance = np.broadcast_to(np.diag(sd**2), (*q.shape, 6)).astype(complex)
+    result = fit(record(freq, q + noise[0] + 1j * noise[1], covariance), full_mass())
+    assert result.found.data.widened == 1.0
+
+
 def test_noise_level_comes_from_above_where_noise_is_understated():
     motion, _ = paper_motion(0.02, 5)
     quiet = replace(motion, covariance=motion.covariance / 25.0)
