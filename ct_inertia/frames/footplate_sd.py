@@ -31,6 +31,7 @@ _SECTORS = 12  # of the rim: each some tenths of a millimetre long
 _LEAST_CURVATURE = 0.2  # 1/mm: a rim that bends less is none
 _EDGE_LEFT = calibrated("footplate.edge_left")
 _LONG_AXIS_LEFT_RAD = calibrated("footplate.long_axis_left_rad")
+_HEIGHT_LEFT_MM = calibrated("footplate.height_left_mm")
 _MESH_BLUR = 1.2  # triangles: of a scan whose surface somebody cut at half level, as scanners have it
 _MOST_TRIANGLE_MM = 0.04  # larger ones are of a mesh that was thinned, not of a coarser scan
 _MOST_WANTING = 4.0  # steps of diffusion beyond which a resolution is no small error
@@ -49,7 +50,8 @@ def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Arra
     -----
     Edges that a blur of covariance C hides err by a share of n^T C n times their curvature, each part of the
     rim by itself. What one more step of diffusion changes shows how sensitive this shape is to its scale. A
-    mesh of unknown origin may have been cut from a blurred picture: that blur is taken back as a trial.
+    mesh of unknown origin may have been cut from a blurred picture: that blur is taken back as a trial. Bends
+    of real bone that the scale of the normals leaves turn the plane by a height over its half extent.
     """
     region, y_axis = solved.region, solved.axes[:, 1]
     influence = Influence(solved)
@@ -69,6 +71,7 @@ def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Arra
     curvature = np.minimum(influence.curvature, 1.0 / np.sqrt(across))
     parts["edges"] = influence.sectors(left * across * curvature)
     parts["edges"][4, 4] += (_LONG_AXIS_LEFT_RAD * influence.roundness) ** 2
+    parts["edges"][[3, 5], [3, 5]] += (_HEIGHT_LEFT_MM / influence.extent[[2, 0]]) ** 2
     smoother = solve(region, y_axis, unit(region.diffusion.step(region.normals)))
     wanting = min(2.0 * float(np.trace(spread)) / 3.0 / NORMAL_SCALE_MM**2, _MOST_WANTING)
     shape = wanting * _displacement(solved, smoother)
@@ -102,6 +105,8 @@ class Influence:
         Their places x, z in footplate axes, mm.
     edge_mm : float
         Edges of the triangles.
+    extent : ndarray, (3,)
+        Root mean square of the places of the face about its centroid, footplate axes, mm.
     roundness : float
         Sum over difference of the second moments along x and z: how far a nearly round outline turns.
     """
@@ -111,6 +116,7 @@ class Influence:
         self.areas, self.edge_mm = face.areas, min(solved.region.edge_mm, EDGE_MM)
         self.points = face.centres + solved.region.middle
         local = (face.centres - face.centroid) @ axes
+        self.extent = np.sqrt(self.areas @ local**2 / self.areas.sum())
         self.heights = np.zeros((len(local), 6))
         self.heights[:, 1] = -1.0 / self.areas.sum()  # outward is along -y
         self.heights[:, [3, 5]] = -_tilts(local, self.areas)

@@ -140,9 +140,11 @@ def _geometry(path: Path, mm: float, stated: bool, big: bool) -> tuple[Stored, i
         origin_mm=np.array(reader.GetOrigin())[:3] * mm,
         direction=np.array(reader.GetDirection()).reshape(len(size), -1)[:3, :3],
     )
+    layers = int(reader.GetNumberOfComponents())
     keys = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
     for number in range(len(keys)):
         value = keys.get(f"Segment{number}_LabelValue", "")
-        if value.isdigit():
-            stored.names[int(value)] = keys.get(f"Segment{number}_Name") or f"segment {number + 1}"
-    return stored, int(reader.GetNumberOfComponents())
+        if value.isdigit():  # layers count their numbers each for itself
+            one = int(value) if layers == 1 else number
+            stored.names[one] = keys.get(f"Segment{number}_Name") or f"segment {number + 1}"
+    return stored, layers
