@@ -197,9 +197,10 @@ class Scan:
         low = np.clip(np.ceil(index.min(axis=0) - 1e-6), 0, self.size).astype(int)
         high = np.clip(np.floor(index.max(axis=0) + 1e-6) + 1, 0, self.size).astype(int)
         if np.any(high - low < 2):
-            held = self.scan_points(np.array([0 * self.size, self.size - 1])).round(3).tolist()
-            wanted, step = f"a box in the scan, {held} mm", "Give two corners in scan coordinates, mm"
-            raise StapeskitError.of("--box", wanted, f"{corners.tolist()} mm", self.name, step)
+            ends = self.scan_points(np.array([0 * self.size, self.size - 1]))
+            held, given = (",".join(f"{mm:.6g}" for mm in np.ravel(pair)) for pair in (ends, corners))
+            wanted, step = f"a box in the scan ({held}, mm)", "Give two corners in scan coordinates, mm"
+            raise StapeskitError.of("--box", wanted, given, self.name, step)
         return slice(low[2], high[2]), slice(low[1], high[1]), slice(low[0], high[0])
 
     def part(self, box: Box) -> Scan:
