@@ -7,14 +7,28 @@ these few fields are looked up in the text of the header.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ct_inertia.scan.place import mm_per_unit
-from ct_inertia.scan.stored import HEADER_BYTES, Stored, Stream, beside, several_values, wrong_file
+from ct_inertia.scan.raw import unpacked
+from ct_inertia.scan.stored import (
+    HEADER_BYTES,
+    Stored,
+    Stream,
+    beside,
+    several_values,
+    unpack_once,
+    wrong_file,
+)
 from stapeskit.faults import StapeskitError
+
+_Segment = tuple[int, int, str]
+"""Layer, value in that layer and name of a segment of 3D Slicer."""
 
 _KIND = re.compile(r"(?:vector of )?(\d+)-bit (unsigned integer|signed integer|float)")
 _KINDS = {"unsigned integer": "u", "signed integer": "i", "float": "f"}
@@ -24,7 +38,7 @@ _FIELD = re.compile(r"^([^:=#\r\n]+?)[ \t]*[:=](?!=)[ \t]*([^\r\n]*?)\r?$", re.M
 
 
 def open_nrrd(path: Path) -> Stored:
-    """Open an NRRD volume or segmentation.
+    """Open an NRRD volume or segmentation; of layers that overlap the segments are numbered anew.
 
     The format: https://teem.sourceforge.net/nrrd/format.html
     """
@@ -46,14 +60,12 @@ def open_nrrd(path: Path) -> Stored:
     stream = Stream(file, start, _whole(fields, "byteskip"), _NRRD_PACKED[encoding], exact=True)
     stated = "spacings" in fields or "spacedirections" in fields
     big = fields.get("endian", "").lower() == "big"
-    stored, layers = _geometry(path, factors.pop() if factors else 1.0, stated, big)
+    stored, layers, segments = _geometry(path, factors.pop() if factors else 1.0, stated, big)
     stored.voxels, stored.anatomical = stream, _PATIENT.fullmatch(space) is not None
-    if layers > 1 and stored.names:
-        step = "Let segments overwrite each other in the Segment Editor of 3D Slicer, or export a labelmap"
-        got = f"{layers} layers, whose segments overlap: {', '.join(stored.names.values())}"
-        raise StapeskitError.of("the segmentation", "one number in each voxel", got, next_step=step)
-    if layers > 1:
-        raise several_values(f"{layers} values (a colour or vector image)")
+    if layers == 1:
+        stored.names = {value: name for _, value, name in segments}
+    else:
+        _flatten(stored, stream, layers, segments, path)
     return stored
 
 
@@ -73,7 +85,7 @@ def open_metaimage(path: Path) -> Stored:
     )
     factor = mm_per_unit(fields.get("distanceunits")) or 1.0
     stated = "elementspacing" in fields or "elementsize" in fields
-    stored, components = _geometry(path, factor, stated, big)
+    stored, components, _ = _geometry(path, factor, stated, big)
     if components > 1:
         raise several_values(f"{components} values (a colour or vector image)")
     stored.anatomical = "?" not in fields.get("anatomicalorientation", "?")
@@ -116,8 +128,8 @@ def _data_file(path: Path, named: str, end: int) -> tuple[Path, int]:
     return (beside(path, named), 0) if named else (path, end)
 
 
-def _geometry(path: Path, mm: float, stated: bool, big: bool) -> tuple[Stored, int]:
-    """Return what SimpleITK reads of a header, and the number of values in a voxel.
+def _geometry(path: Path, mm: float, stated: bool, big: bool) -> tuple[Stored, int, list[_Segment]]:
+    """Return what SimpleITK reads of a header, the number of values in a voxel, and named segments.
 
     ``mm`` is the unit of length; a spacing that is not ``stated`` is SimpleITK's own.
     """
@@ -140,11 +152,34 @@ def _geometry(path: Path, mm: float, stated: bool, big: bool) -> tuple[Stored, i
         origin_mm=np.array(reader.GetOrigin())[:3] * mm,
         direction=np.array(reader.GetDirection()).reshape(len(size), -1)[:3, :3],
     )
-    layers = int(reader.GetNumberOfComponents())
-    keys = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
+    keys, segments = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}, []
     for number in range(len(keys)):
-        value = keys.get(f"Segment{number}_LabelValue", "")
-        if value.isdigit():  # layers count their numbers each for itself
-            one = int(value) if layers == 1 else number
-            stored.names[one] = keys.get(f"Segment{number}_Name") or f"segment {number + 1}"
-    return stored, layers
+        value, layer, name = (
+            keys.get(f"Segment{number}_{word}", "") for word in ("LabelValue", "Layer", "Name")
+        )
+        if value.isdigit():
+            segments.append((int(layer or 0), int(value), name or f"segment {number + 1}"))
+    return stored, int(reader.GetNumberOfComponents()), segments
+
+
+def _flatten(stored: Stored, stream: Stream, layers: int, segments: Sequence[_Segment], path: Path) -> None:
+    """Number the segments of a layered segmentation 1, 2, ... in the order of the file."""
+    if not segments:
+        raise several_values(f"{layers} values (no segmentation of 3D Slicer)")
+    shape, dtype = (*stored.shape, layers), stored.dtype
+
+    def labels() -> NDArray[Any]:
+        values = unpacked(stream, shape, dtype, path)
+        numbers = np.zeros(shape[:3], dtype=np.uint16)
+        masks = [values[..., layer] == value for layer, value, _ in segments]
+        for k in sorted(range(len(masks)), key=lambda k: -np.count_nonzero(masks[k])):
+            numbers[masks[k]] = k + 1
+        return numbers
+
+    stored.names = {number: name for number, (_, _, name) in enumerate(segments, start=1)}
+    listed = ", ".join(f"{number} {name}" for number, name in stored.names.items())
+    stored.note(
+        f"The segments of {path.name} lie in several layers; they were numbered {listed}. Where two overlap "
+        f"the smaller one counts."
+    )
+    stored.dtype, stored.voxels, stored.files = np.dtype(np.uint16), unpack_once(labels), (stream.file,)

@@ -1,5 +1,7 @@
 """Label volumes: names win over numbers; what is written lies on the scan in other programs."""
 
+import gzip
+
 import numpy as np
 import pytest
 import SimpleITK as sitk
@@ -49,21 +51,37 @@ def test_a_crop_is_read_back_at_its_place(tmp_path, kind):
     assert np.array_equal(sitk.GetArrayFromImage(sitk.ReadImage(str(tmp_path / "crop.nrrd"))), picture(kind))
 
 
-def test_segments_that_overlap_are_refused_with_their_names(tmp_path):
-    """A segmentation of 3D Slicer in two layers: a value alone does not say which body it is."""
+def layered(path, bone=False, packed=True):
+    """A segmentation of 3D Slicer whose segments overlap: two layers; the second one may be all bone."""
+    values = np.zeros((7, 6, 5, 2), np.uint8)
+    values[1:4, ..., 0], values[4:6, ..., 0], values[0 if bone else 3 : 5, ..., 1] = 1, 2, 1
     steps = " ".join("(" + ",".join(f"{v:g}" for v in row) + ")" for row in np.diag(SPACING))
     text = (
         "NRRD0004\ntype: uint8\ndimension: 4\nspace: left-posterior-superior\nsizes: 2 5 6 7\n"
-        f"space directions: none {steps}\nkinds: list domain domain domain\nencoding: raw\n"
+        f"space directions: none {steps}\nkinds: list domain domain domain\n"
+        f"encoding: {'gzip' if packed else 'raw'}\n"
+        "space origin: (1,2,3)\n"
     )
     for k, (value, layer, name) in enumerate(((1, 0, "stapes"), (2, 0, "plate"), (1, 1, "incus"))):
         text += f"Segment{k}_LabelValue:={value}\nSegment{k}_Layer:={layer}\nSegment{k}_Name:={name}\n"
-    (tmp_path / "a.seg.nrrd").write_bytes(text.encode() + b"\n" + bytes(420))
-    with pytest.raises(StapeskitError) as caught:
-        open_labels(tmp_path / "a.seg.nrrd")
-    got = caught.value.faults[0].got
-    assert got.startswith("2 layers")
-    assert all(name in got for name in ("stapes", "plate", "incus"))
+    voxels = values.tobytes()
+    path.write_bytes(text.encode() + b"\n" + (gzip.compress(voxels) if packed else voxels))
+    return path
+
+
+def test_a_layered_segmentation_becomes_one_label_volume(tmp_path):
+    labels, grid = open_labels(layered(tmp_path / "a.seg.nrrd"))
+    assert [int(labels[k, 0, 0]) for k in range(7)] == [0, 1, 1, 3, 3, 2, 0]
+    assert grid.segment_names == {1: "stapes", 2: "plate", 3: "incus"}
+    assert grid.spacing_mm == pytest.approx(SPACING)
+    assert grid.origin_mm.tolist() == [1.0, 2.0, 3.0]
+    (text,) = [notice.text for notice in grid.notices if notice.code == "file_read"]
+    assert "1 stapes, 2 plate, 3 incus" in text
+
+
+def test_a_segment_of_all_bone_does_not_cover_the_stapes_in_it(tmp_path):
+    labels, _ = open_labels(layered(tmp_path / "a.seg.nrrd", bone=True, packed=False))
+    assert [int(labels[k, 0, 0]) for k in range(7)] == [3, 1, 1, 1, 2, 2, 0]
 
 
 def test_materials_name_the_labels_of_amira(tmp_path):
