@@ -184,8 +184,8 @@ def _mesh(work: _Work) -> tuple[Surface, Moments]:
     mesh = read_mesh(path, work.options.close)
     check_mesh(mesh, path.name)
     exact = (
-        "The input is a surface: it is taken as exact; the budget holds density or mass, the frame, and what "
-        "closed holes may lack only."
+        "The input is a surface: it is taken as exact; the budget holds only density or mass, the frame, and "
+        "what closed holes may lack."
     )
     turned = (
         f"Nothing in {path.name} confirms that the slices of its scan were in right-handed order: if not, "

@@ -17,9 +17,9 @@ from fitting.mass import Inertia
 from fitting.options import COMPARE, IGNORE, LOADED, KDOptions
 from fitting.plane import applies, in_plane, plane_model
 from fitting.result import KDFit
-from fitting.solve import Fit, alike_lines, bic, fit, with_covariance
+from fitting.solve import Fit, bic, fit, with_covariance
 from fitting.textbook import estimate
-from fitting.uncertainty import weak_spread
+from fitting.uncertainty import alike_lines, weak_spread
 from fitting.unknowns import UNKNOWNS
 from stapeskit.faults import StapeskitError
 

@@ -23,12 +23,38 @@ if TYPE_CHECKING:
 NOISE, MODEL_ERROR = "channel_noise", "model_error"
 INPLANE_STIFFNESS, PLANE = "inplane_stiffness", "ligament_plane"
 
+_NEAR, _FAR = (1, 2, 3), (8, 9, 10, 11, 12)  # lines whose noise a window makes alike, and beyond them
+_BY_CHANCE = 4.5  # standard deviations of a correlation from which it is none by chance
 _CLUSTERS = 5  # parts of the lines whose residuals are taken as alike where no cause explains a misfit
 # Relative sd of a diagonal entry from which chi2 is no parabola: 1 / K differs from normal by it.
 _WEAK = 0.25
 _FARTHEST = 20.0  # sd or values that a weak entry is followed
 _CLOSE = 0.8  # of a point inside an interval to one outside, between which its end is taken
 _LOSS_FACTOR = 1.0  # to which damping follows a weak stiffness: of soft tissue it is below
+
+
+def alike_lines(found: Fit) -> float:
+    """Return the noise over that stated, 1 at least, that counts as if that of each line were independent.
+
+    Neighbouring lines of a spectrum have noise in common where its window is wider than a line (Hann: 0.67
+    and 0.17 with the next two) or where it was smoothed. A misfit is alike over many lines: what far lines
+    have in common is subtracted. The variance of a mean is 1 + 2 (r_1 + r_2 + ...) times as large. It is 1
+    where residuals are no noise as stated: in a misfit, and where they are smaller.
+    """
+    white, run = found.likelihood.look(found.theta)[0], found.data.run
+    longest = int(np.max(np.bincount(run), initial=0))
+    if longest < 2 * _FAR[-1] or found.weights is not None or found.quiet or not found.explained:
+        return 1.0
+    size = np.mean(np.abs(white) ** 2)
+
+    def alike(lag: int) -> float:
+        pairs = run[lag:] == run[:-lag]
+        return float(np.mean((white[lag:] * white[:-lag].conj()).real[pairs]) / size)
+
+    excess = np.array([alike(lag) for lag in _NEAR]) - np.mean([alike(lag) for lag in _FAR])
+    if excess[0] < _BY_CHANCE / np.sqrt(2.0 * white.size):
+        return 1.0
+    return 1.0 + 2.0 * float(np.sum(np.maximum(excess, 0.0)))
 
 
 def budget_of(fit: KDFit) -> dict[str, Array]:

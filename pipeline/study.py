@@ -140,7 +140,7 @@ def read_study(path: Path) -> Study:
 
 
 def in_keys(notices: Iterable[Notice], own: type[Options]) -> tuple[Notice, ...]:
-    """Return warnings that name keys of a study in place of flags: of their own table, else of another."""
+    """Replace the flags that warnings name by keys of a study; their ``own`` table comes first."""
     tables = (*TABLES.values(), own)  # the last one that has a flag names it
     keys = {entry.flag: f"{table.table}.{entry.key}" for table in tables for entry in table.entries()}
 

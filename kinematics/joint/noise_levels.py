@@ -17,7 +17,7 @@ _POOLED_DOF = 400  # squares of neighbours that are pooled: the level is known t
 _REFLECTION = 0.25  # spread of noise between points, in natural logarithms: reflection and focus differ
 _QUARTILES = 1.349  # distance of the quartiles of a normal distribution, in standard deviations
 LEAST_FREEDOM = 8.0
-"""Degrees of freedom of the noise of a channel; fewer say nothing of it."""
+"""Degrees of freedom of the noise of a channel from which on it is estimated: the variance to sqrt(2 / 8)."""
 _SAMPLE = 100_000  # stated sd that are looked at
 _FEWEST = 3  # channels of a laser whose median is that of the laser
 
