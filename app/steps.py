@@ -15,6 +15,7 @@ import time
 import traceback
 import zlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
@@ -67,9 +68,10 @@ def _mass(study: StudyFile, folder: Path, *, hand_work: bool) -> None:
     options = study.mass_options(hand_work=hand_work)
     with options.as_keys():
         result = measure_mass(options, _tell)
+    result = replace(result, notices=in_keys(result.notices, type(options)))
     result.write(folder, report=False)
     _keep_shown(result, folder)
-    _warn(in_keys(result.notices, type(options)))
+    _warn(result.notices)
 
 
 def _keep_shown(result: MassResult, folder: Path) -> None:

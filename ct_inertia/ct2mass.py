@@ -315,7 +315,7 @@ def _plate_frame(work: _Work, moments: Moments) -> PlateFrame | None:
                 )
                 work.notices.append(Notice("plate_uncertain", several))
             return pose
-        text = "The plastic beside the stapes has no plane face towards it, as a tube or a holder has none"
+        text = "The plastic beside the stapes has no plane face with plane sides towards it (a tube has none)"
         if region is None or not region.named:
             text += ", and counts as no plate"
             work.measured = replace(work.measured, plate=None)

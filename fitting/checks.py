@@ -117,7 +117,9 @@ def _noise(fit: KDFit) -> Iterator[Notice]:
         text = (
             "The noise of neighbouring lines is alike, as with a window wider than a line or after smoothing:"
         )
-        yield Notice("noise_alike", f"{text} its standard deviation was widened by {np.sqrt(wider):.2g}.")
+        yield Notice(
+            "noise_alike", f"{text} its standard deviation was widened by a factor of {np.sqrt(wider):.2g}."
+        )
     if found.quiet and found.weights is None and not found.data.floored and wider == 1.0:
         yield Notice("noise_level", f"Residuals are smaller than their stated noise: {level}.")
     far = outlying_hz(fit)
@@ -268,7 +270,7 @@ def _plausibility(fit: KDFit) -> Iterator[Notice]:
         )
         for factor, unit in ((2.0 * np.pi, "angular frequencies (rad/s)"), (1e-3, "kHz")):
             other = value / factor**2
-            if _within(other, PISTON_RANGE) and abs(np.log(value / other)) > np.log(10.0):
+            if _within(other, PISTON_RANGE) and not PISTON_RANGE[0] / 3 < value < 3 * PISTON_RANGE[1]:
                 text += f" It would be {other:.4g} N/m if freq_hz held {unit}: check that."
         yield Notice("implausible_stiffness", text)
     for name in (name for name in ("alpha", "gamma") if name in fit.dof):

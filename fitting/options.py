@@ -90,7 +90,7 @@ class KDOptions(Options):
     damping: Annotated[
         str,
         one_of((*DAMPING, COMPARE)),
-        Opt(f"{_LAW_HELP}; 0.5 is estimated; compare: all of them"),
+        Opt(f"{_LAW_HELP}; both 0.5 stand for a number that is estimated; compare: all of them"),
     ] = "viscous"
     inplane: Annotated[
         Literal["auto", "load", "ignore"],

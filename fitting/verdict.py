@@ -22,12 +22,11 @@ OF_MODEL, WEAK = ("frequency_dependent", "misfit"), ("weak_identifiability", "un
 _OF_RESULT = {"not_passive", "unstable"}  # properties of K and D themselves
 # What a wrong input makes; its cause is listed before it.
 _OUTCOMES = (
-    *OF_MODEL, "implausible_stiffness", "estimator_biased", "not_passive", "unstable", "not_converged",
-    *WEAK,
+    *OF_MODEL, "implausible_stiffness", "not_passive", "unstable", "not_converged", *WEAK,
 )  # fmt: skip
 # Causes with a name, the first of which counts, and what follows from each: of motion that is another than
-# its file says, or has a load that is left out, everything; of one wrong reading or unknown, that the model
-# does not hold.
+# its file says, everything; of a load that is left out, that the model does not hold, K and D are wrong and
+# the misfit widens them; of one wrong reading or unknown, that the model does not hold.
 _CAUSES = {
     **dict.fromkeys(
         ("bodies_exchanged", "phase_convention", "unit_slip", "other_mass_file"),
@@ -40,7 +39,10 @@ _CAUSES = {
         ),
         OF_MODEL,
     ),
-    "inplane_neglected": (*_OUTCOMES, "cause_found", "fluid_found", "law_ambiguous"),
+    "inplane_neglected": (
+        *OF_MODEL, *WEAK, "implausible_stiffness", "not_passive", "unstable", "cause_found", "fluid_found",
+        "law_ambiguous",
+    ),
     "cause_found": (*OF_MODEL, *WEAK),
 }  # fmt: skip
 _CORRECTED = "corrected"  # what was wrong with single channels is out of the motion
@@ -85,7 +87,7 @@ class Verdict:
 def follow_from_misreading(notices: Iterable[Notice], confirmed: Sequence[str] = ()) -> set[str]:
     """Return the codes that say nothing more where the motion is not what its file says.
 
-    None where the user confirms the motion; properties of K and D are always said.
+    The set is empty where the user confirms the motion; properties of K and D are not in it.
     """
     codes = {notice.code for notice in notices if not is_among(notice.code, confirmed)}
     return {follows for code in codes if code in _MISREAD for follows in _CAUSES[code]} - _OF_RESULT

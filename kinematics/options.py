@@ -176,7 +176,7 @@ class MotionOptions(Options):
     beam: Annotated[Text, Opt("direction towards the laser head: x, -z ... or X,Y,Z", _FILES, "z")] = ""
     amplitude: Annotated[
         Literal["peak", "rms"] | None,
-        Opt("of amplitudes; default peak, with a warning", _FILES, "peak"),
+        Opt("what amplitudes are; default peak, with a warning", _FILES, "peak"),
     ] = None
     length_unit: Annotated[
         Literal["m", "mm", "um"] | None, Opt("unit of positions; default m, with a warning", _FILES, "mm")
@@ -188,7 +188,7 @@ class MotionOptions(Options):
     channels: Annotated[
         ReadFile | None,
         Opt(
-            "of time series: channel, role, body, point, dir, unit (CSV)",
+            "what each channel of time series is: channel, role, body, point, dir, unit (CSV)",
             _SERIES,
             "channels.csv",
         ),

@@ -162,8 +162,8 @@ def _gain_notices(run: str, names: Sequence[str], gains: ComplexArray, sd: float
         return []
     factors = list_some(f"repeat {names[k]} ({gains[k].real:.3g}{gains[k].imag:+.2g}i)" for k in off.tolist())
     text = (
-        f"run {run}: {factors} of {len(gains)} differ from the mean by this factor, which moves the pooled "
-        "values: leave the wrong ones out. Responses per reference (--reference) do not contain it."
+        f"run {run}: of {len(gains)} repeats these differ from the mean by a factor, which moves the pooled "
+        f"values: {factors}. Leave the wrong ones out; responses per reference (--reference) are free of it."
     )
     return [Notice("repeats_differ", text)]
 

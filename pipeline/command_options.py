@@ -95,6 +95,10 @@ class CompareOptions(Options):
             lambda v: len(v.folders) not in ((1, 2) if v.what_if else (2,)),
             lambda v: Fault("RESULT", "two folders, or one with --what-if", len(v.folders)),
         ),
+        Rule(
+            lambda v: len(v.folders) == 1 and (v.force or v.out != CompareOptions.out),
+            Fault("--out and --force", "given with two results", "one", next_step="Leave them out"),
+        ),
     )
 
     folders: Annotated[
@@ -104,5 +108,5 @@ class CompareOptions(Options):
         Changes,
         Opt("a change: K*10, D*2 or mass+5mg@head; once for each", example=["K*10"], repeats=True),
     ] = ()
-    out: Annotated[Folder, Opt("folder of the page and the table")] = Path("compare_out")
+    out: Annotated[Folder, Opt("folder of the page and the table of two results")] = Path("compare_out")
     force: Annotated[Flag, Opt("replace files that this command did not write")] = False

@@ -136,5 +136,5 @@ def _from_corners(fiducials: PlateFiducials, stapes_mm: Array) -> PlateFrame:
         scatter = float(np.sqrt(np.sum(local[:, 1] ** 2) / max(len(local) - 3, 1)))
         sd = np.full(len(local), max(scatter, _LEAST_SD_MM))
     fit = fit_rigid(local, points, sd, to="scan", source="plate")
-    notices = tuple(axis_notices(frame[:, 0], ratio))
+    notices = tuple(axis_notices(frame[:, 0], ratio, "side between the --plate-fiducials"))
     return PlateFrame(transform, fit.covariance_si, ring, False, "fiducials", notices)

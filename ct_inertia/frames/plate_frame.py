@@ -99,9 +99,9 @@ def plate_frame(faces: Sequence[PlaneFace], stapes_mm: Array, level_sd_mm: float
     sides = _sides([face for face in faces if face.point_mm is not main.point_mm], main)
     try:
         pose = _pose(main, sides)
-    except QhullError:
+        covariance = _propagated(main, sides, pose)
+    except QhullError:  # sides that enclose no face
         return None
-    covariance = _propagated(main, sides, pose)
     cropped = any(side.at_border for side in sides)
     return PlateFrame(pose.transform, covariance, pose.corners, cropped, "faces", _notices(pose, sides))
 
@@ -235,19 +235,19 @@ def _propagated(main: PlaneFace, sides: Sequence[PlaneFace], pose: _Pose) -> Arr
     return covariance
 
 
-def axis_notices(x_axis: Array, ratio: float) -> list[Notice]:
-    """Report the sense of the longest edge, and another edge that is nearly as long: ``ratio`` of both."""
+def axis_notices(x_axis: Array, ratio: float, edge: str = "edge of the plate") -> list[Notice]:
+    """Report the sense of the longest edge, and another one that is nearly as long: ``ratio`` of both."""
     listed = ", ".join(f"{value:+.3f}" for value in x_axis)
     text = (
-        "x of the plate frame is the longest edge of the plate in the sense with the positive component "
-        f"along scan x, [{listed}] in scan axes. Check it against the plate, or give --plate-fiducials with "
-        "x_ref_mm, y_ref_mm, z_ref_mm."
+        f"x of the plate frame is the longest {edge} in the sense with the positive component along scan x, "
+        f"[{listed}] in scan axes. Check it against the plate, or give --plate-fiducials with x_ref_mm, "
+        "y_ref_mm, z_ref_mm."
     )
     notices = [Notice("plate_axis_sign", text)]
     if ratio > AMBIGUOUS:
         text = (
-            f"Two edges of the plate are nearly equally long (ratio {ratio:.3f}): which of them is x is "
-            "ambiguous. Give --plate-fiducials with x_ref_mm, y_ref_mm, z_ref_mm."
+            f"The longest {edge} and another one are nearly equally long (ratio {ratio:.3f}): which "
+            "of them is x is ambiguous. Give --plate-fiducials with x_ref_mm, y_ref_mm, z_ref_mm."
         )
         notices.append(Notice("plate_axis_ambiguous", text))
     return notices

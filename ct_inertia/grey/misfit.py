@@ -154,7 +154,7 @@ def gain_over_body(fit: SceneFit, residual: Grey, contrast: float) -> Grey | Non
 
 
 def broken_slices(fit: SceneFit, residual: Grey) -> list[Notice]:
-    """Report slices that do not continue their neighbours: the blur of the scan joins those that do.
+    """Report slices with several times the residual of the others: they do not continue their neighbours.
 
     ``residual``: in units of the stapes' contrast. Its mean square in a slice next to the stapes is that of
     the other slices, whatever the noise and whatever else the model does not hold.
@@ -174,7 +174,7 @@ def broken_slices(fit: SceneFit, residual: Grey) -> list[Notice]:
         "slices are missing, doubled or exchanged there, or the sample has moved. What that changes is not "
         "in the budget. Look at them, and reconstruct or scan again."
     )
-    return [Notice("slices_missing", text)]
+    return [Notice("slices_out_of_place", text)]
 
 
 def _quadratic(points: Array) -> Array:

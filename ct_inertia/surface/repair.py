@@ -24,7 +24,7 @@ MESH_SUFFIXES = (".stl", ".ply", ".obj", ".glb")
 _SAME_CORNER = 1e-6  # of the mesh's diagonal: single precision of an STL far from its origin
 _MEMORY = 2 << 30  # bytes for the child: pymeshlab and its copies of a mesh of some million faces
 _LARGEST_HOLE = 1 << 20  # edges: every hole
-_STEEPEST_DEG = 60.0  # at the rim of a hole, from where a sphere through it would be larger beyond the hole
+_STEEPEST_DEG = 60.0  # at the rim of a hole: the dome of a sphere over it is then .58 of its radius high
 _STL_HEADER, _STL_TRIANGLE = 84, 50  # bytes of a binary STL, which counts its triangles in the last four
 
 
@@ -126,7 +126,9 @@ def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Surfa
             step = "Close them in the program that made the surface (a solid fill), or let --close do it"
             raise StapeskitError.of("the surface", "closed", f"{where} in {len(faces)} faces", name, step)
         vertices, faces, caps, how = _closed(vertices, faces, name)
-        text = f"{name} had {where}; {how} (--close). The budget holds what may be missing: look at it."
+        text = (
+            f"{name} had {where}; {how} (--close). The budget holds what may be missing: look at the surface."
+        )
         notices.append(Notice("holes_closed", text))
     faces, turned = _oriented(vertices, faces, name)
     if turned:
@@ -202,8 +204,8 @@ def _closed(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, tup
     caps = tuple(_caps(vertices, _oriented(vertices, faces, name)[0], new))
     cut = [str(cap) for cap in caps if cap.steep_deg > _STEEPEST_DEG]
     if cut:
-        expected = f"one that bends by at most {_STEEPEST_DEG:g} degrees at the rim of a hole for --close"
-        raise StapeskitError.of("the surface", expected, f"cut off {' and '.join(cut)}", name, step)
+        expected = f"within {_STEEPEST_DEG:g} degrees of flat where --close closes a hole"
+        raise StapeskitError.of("the surface", expected, f"a body cut off {' and '.join(cut)}", name, step)
     return vertices, faces, caps, "they were filled"
 
 

@@ -43,7 +43,7 @@ class Cap:
 
     def __str__(self) -> str:
         place = ", ".join(f"{value:.3f}" for value in self.middle_mm)
-        return f"at {place} mm, {self.width_mm:.2g} mm wide, by {self.steep_deg:.0f} degrees"
+        return f"at {place} mm, {self.width_mm:.2g} mm wide, {self.steep_deg:.0f} degrees from flat"
 
 
 @dataclass(frozen=True, eq=False)

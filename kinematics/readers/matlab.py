@@ -180,8 +180,14 @@ class Variables:
     def length_unit(self) -> str:
         """The unit at the end of the name of the positions, or beside them; empty without one."""
         name = self.name("position")
-        ending = self.text(f"{name} unit") or name.rpartition("_")[2]
-        return ending if ending in LENGTHS else ""
+        stated, ending = self.text(f"{name} unit"), name.rpartition("_")[2]
+        if not stated:
+            return ending if ending in LENGTHS else ""
+        if stated not in LENGTHS or (ending in LENGTHS and ending != stated):
+            expected = ending if ending in LENGTHS else f"one of {', '.join(LENGTHS)}"
+            step = f"Save {name} with that unit, or without one and give --length-unit"
+            raise StapeskitError.of(f"the unit of {name}", expected, stated, self.file, step)
+        return stated
 
     def rows(self, faults: list[Fault]) -> list[Row]:
         """Read every beam at every point; what is wrong with the variables is added to the faults."""

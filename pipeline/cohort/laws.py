@@ -129,6 +129,5 @@ def unlike_others(laws: Sequence[PowerLaw], table: LogTable, names: Sequence[str
                 )
                 found.setdefault(names[ear], text)
     listed = "; ".join(f"{name} ({text})" for name, text in found.items())
-    return (
-        [Notice("ear_unlike_others", f"Unlike the other ears: {listed}. It is in the laws.")] if found else []
-    )
+    text = f"Unlike the other ears: {listed}. The laws hold them still."
+    return [Notice("ear_unlike_others", text)] if found else []

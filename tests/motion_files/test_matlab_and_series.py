@@ -159,6 +159,15 @@ def test_units_of_data_sets_are_read(tmp_path):
         assert np.allclose(recording.points_m, PLACES_M)
 
 
+@pytest.mark.parametrize(("name", "unit"), [("xyz_mm", "m"), ("xyz", "furlong")])
+def test_a_unit_of_positions_that_contradicts_their_name_or_is_unknown_is_refused(name, unit, tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["value"], file["freq_hz"], file[name] = Z, FREQ_HZ, 1e3 * PLACES_M
+        file["direction"] = "z"
+        file[name].attrs["unit"] = unit
+    assert {fault.thing for fault in _refused(tmp_path / "a.h5").faults} == {f"the unit of {name}"}
+
+
 def _refused(path):
     with pytest.raises(StapeskitError) as caught:
         read_file(path, FileFacts())
