@@ -95,7 +95,7 @@ def test_one_repeat_of_another_gain_or_sign_is_named(count, gain):
 @pytest.mark.parametrize("gains", [(1.0, 2.0), (1.0, -1.0), (1.0, 1.0, 0.7)])
 def test_few_repeats_that_differ_in_gain_or_sign_are_reported(gains):
     _, (compared,) = pool_repeats(repeated(3, count=len(gains), gains=gains)[0])
-    assert f"of {len(gains)} differ" in compared.notices[0].text
+    assert f"of {len(gains)} repeats" in compared.notices[0].text
 
 
 def test_a_repeat_of_the_other_sign_does_not_turn_the_mean():
