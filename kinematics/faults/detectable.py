@@ -38,7 +38,9 @@ def detectable(now: Round) -> list[Detectable]:
     """
     owners = [test.place.owner for test in now.tests]
     found = []
-    for place, kinds, _, information in informations(now.state, now.expected, places(now.layout, now.live)):
+    looked_at = places(now.layout, now.live)
+    every, _, all_information = informations(now.state, now.expected, looked_at)
+    for place, kinds, information in zip(looked_at, every, all_information, strict=True):
         chance = ALARM * SHARE[place.owner] / max(owners.count(place.owner), 1)
         for kind in kinds:
             tangents = list(KINDS[kind].tangents)

@@ -5,7 +5,7 @@ Shapes: c channels.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,8 +69,8 @@ class Noise:
 
 def informations(
     state: State, expected: Parameters, places: Sequence[Place]
-) -> Iterator[tuple[Place, list[str], Array, Array]]:
-    """Yield every place with its kinds, and score (13,) and information (13, 13) of all tangents there.
+) -> tuple[list[list[str]], Array, Array]:
+    """Return the kinds of every place, and score (P, 13) and information (P, 13, 13) of all tangents there.
 
     Notes
     -----
@@ -88,41 +88,42 @@ def informations(
         root = np.linalg.inv(np.linalg.cholesky(scaled)) / size
         moved = known.T @ root.T
         cross = state.m[channels][:, :, expected.tangent] * expected.mask[:, channels].T[:, None, :]
-    directions = state.geometry.directions
-    parallel = bool(np.all(np.abs(directions @ directions[0]) > 0.999))
+    score = np.array([2.0 * state.b[list(place.channels)].sum(axis=0) for place in places])
+    information = np.array([2.0 * state.m[list(place.channels)].sum(axis=0) for place in places])
     for first in range(0, len(places), _BLOCK):
-        some = places[first : first + _BLOCK]
-        rows = [[where[channel] for channel in place.channels] for place in some]
+        rows = [[where[channel] for channel in place.channels] for place in places[first : first + _BLOCK]]
         p = np.stack([projected[own].sum(axis=0) for own in rows])
-        n = 2.0 * np.stack([state.m[list(place.channels)].sum(axis=0) for place in some])
-        n -= 2.0 * p @ p.swapaxes(1, 2)
+        information[first : first + _BLOCK] -= 2.0 * p @ p.swapaxes(1, 2)
         if len(expected):
             half = p @ -moved
             for one, own in zip(half, rows, strict=True):
                 along = cross[own].sum(axis=0)
                 few = np.flatnonzero(along.any(axis=0))  # errors of these channels
                 one += along[:, few] @ root.T[few]
-            n -= 4.0 * half @ half.swapaxes(1, 2)
-        for place, information in zip(some, n, strict=True):
-            score = 2.0 * state.b[list(place.channels)].sum(axis=0)
-            yield place, place.kinds(len(state.packed.tau), parallel), score, information
+            information[first : first + _BLOCK] -= 4.0 * half @ half.swapaxes(1, 2)
+    directions = state.geometry.directions
+    parallel = bool(np.all(np.abs(directions @ directions[0]) > 0.999))
+    return [place.kinds(len(state.packed.tau), parallel) for place in places], score, information
 
 
 def score_tests(state: State, expected: Parameters, places: Sequence[Place]) -> list[Test]:
     """Test every kind at every place by Rao's score test: b^T N^-1 b of the score b and the information N."""
-    tests = []
-    for place, kinds, b, n in informations(state, expected, places):
-        for kind in kinds:
-            k = list(KINDS[kind].tangents)
-            size = np.diag(n)[k]
-            scale = np.sqrt(np.where(size > 0.0, size, np.inf))  # none where rounding left no information
-            value, vector = np.linalg.eigh(n[np.ix_(k, k)] / np.outer(scale, scale))
-            good = value > 1e-8 * max(value[-1], 1e-300)
-            along = vector.T @ (b[k] / scale)
-            if good.any():
-                statistic = float(np.sum(along[good] ** 2 / value[good]))
-                tests.append(Test(place, kind, statistic, int(good.sum())))
-    return tests
+    if not places:
+        return []
+    kinds, score, information = informations(state, expected, places)
+    tests: list[list[Test]] = [[] for _ in places]
+    for kind, entry in KINDS.items():
+        own, k = [row for row, some in enumerate(kinds) if kind in some], list(entry.tangents)
+        n, b = information[np.ix_(own, k, k)], score[np.ix_(own, k)]
+        size = np.diagonal(n, axis1=1, axis2=2)
+        scale = np.sqrt(np.where(size > 0.0, size, np.inf))  # none where rounding left no information
+        value, vector = np.linalg.eigh(n / (scale[:, :, None] * scale[:, None, :]))
+        good = value > 1e-8 * np.maximum(value[:, -1:], 1e-300)
+        along = np.einsum("pij,pi->pj", vector, b / scale)
+        statistic = np.sum(np.where(good, along**2 / np.where(good, value, 1.0), 0.0), axis=1)
+        for row, found, freedom in zip(own, statistic.tolist(), good.sum(axis=1).tolist(), strict=True):
+            tests[row] += [Test(places[row], kind, found, freedom)] if freedom else []
+    return [test for some in tests for test in some]
 
 
 def pattern_gain(state: State, level: float) -> float:

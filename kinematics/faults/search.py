@@ -87,12 +87,13 @@ def diagnose(
     errors = stated_errors([body]) if errors is None else errors
     layout = Layout(body.points, laser_numbers(body.directions), tuple(errors))
     assumed = [assumed_sd(body, run) for run in range(len(fits))]
-    sd = (assumed[0][None] if len(fits) == 1 else np.stack(assumed)) * np.sqrt(max(line_spread, 1.0))
+    sd = assumed[0][None] if len(fits) == 1 else np.stack(assumed)
     known = digits_spread(body.sd) if body.sd is not None and body.is_noise_stated else None
+    factor = float(np.sqrt(max(line_spread, 1.0)))
     if not body.is_noise_stated:  # of channels and over lines it is found anew, without faults
-        sd = sd * np.median([np.median(fit.factor) for fit in fits])
+        factor *= float(np.median([np.median(fit.factor) for fit in fits]))
     readings = Readings.of(body.value, sd, freq_hz, body.arms_m, body.directions)
-    readings = replace(readings, known=known)
+    readings = replace(readings, sd=factor * readings.sd, known=known)
     first = null_fit(readings, layout)
     read = int(np.count_nonzero(np.any(np.isfinite(readings.value), axis=1)))
     enough = read > max(len(fit.beams.dof) for fit in fits) and readings.value.shape[1] > 1

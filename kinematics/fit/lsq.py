@@ -23,6 +23,7 @@ T_FREEDOM = 4.0
 _BLOCK_VALUES = 60_000  # 1 MB of complex numbers: half of a common L2 cache
 _SAME_RATIO = 1e-10  # rounding of a product of two numbers, with room
 _SIMULATED = 1000  # lines of noise: the variance of three coefficients is known to 2 %
+_SINGULAR = 1e-9  # of a diagonal of R over the largest: not determined
 _CONDITION = 1e7  # of a Gram matrix: one step of refinement mends up to here
 
 
@@ -134,10 +135,11 @@ def solve(
 def _fit_block(
     basis: Array, y: ComplexArray, sd: Array, robust: str, part: slice, scale: Array, out: Solution
 ) -> None:
-    """Fit some lines and enter them."""
+    """Fit some lines and enter them; noise that is the same at all lines has one column."""
+    sd = sd[:, :1] if robust == "none" and sd.strides[1] == 0 else sd
     used = np.isfinite(y) & np.isfinite(sd) & (sd > 0.0)
     whole = bool(used.all())
-    y = y if whole else np.where(used, y, 0.0)
+    y = np.ascontiguousarray(y if whole else np.where(used, y, 0.0))
     noise = 1.0 / sd**2 if whole else np.where(used, 1.0 / np.where(used, sd, 1.0) ** 2, 0.0)
     z, inverse, good = _weighted(basis, y, noise)
     weight, plain = noise, inverse
@@ -148,22 +150,26 @@ def _fit_block(
         weight = _reweight(basis, y, noise, z, start, robust, tolerance=1e-3)
         inverse = _weighted(basis, y, weight)[1]
     z[:, ~good] = 0.0
-    fitted = basis @ z
-    left = y - fitted
-    residual = left.real**2 + left.imag**2
-    normal = residual * noise
+    left = y - _times(basis, z)
+    chosen = used & good
+    residual = np.where(chosen, left.real**2 + left.imag**2, 0.0)
     leverage = weight * (_pairs(basis) @ inverse.reshape(len(inverse), -1).T)
-    chosen = (used & good).astype(float)
     largest = np.max(weight, axis=0)
+    gram = (noise.T @ _pairs(basis)).reshape(-1, *inverse.shape[1:])
     out.z[:, part] = np.where(good, z, np.nan)
     out.covariance[part] = np.where(good[:, None, None], 2.0 * plain, np.nan)
-    out.chi2[part] = np.where(good, normal.sum(axis=0), np.nan)
+    out.chi2[part] = np.where(good, np.einsum("cl,cl->l", noise, residual), np.nan)
     out.count[part], out.good[part] = used.sum(axis=0), good
-    out.freedom += 2.0 * np.sum(chosen * (1.0 - leverage), axis=1)
-    out.weight += weight @ (good / np.where(largest > 0.0, largest, 1.0))
-    out.square += (residual * chosen) @ scale[part]
-    out.used += chosen.sum(axis=1).astype(int)
-    out.explained[part] = np.sum((fitted.real**2 + fitted.imag**2) * noise * good, axis=0)
+    out.freedom += 2.0 * np.einsum("cl,cl->c", chosen.astype(float), 1.0 - leverage)
+    out.weight += np.einsum("cl,l->c", weight, good / np.where(largest > 0.0, largest, 1.0))
+    out.square += residual @ scale[part]
+    out.used += np.count_nonzero(chosen, axis=1)
+    out.explained[part] = np.einsum("il,lij,jl->l", z.conj(), gram, z).real
+
+
+def _times(matrix: Array, y: ComplexArray) -> ComplexArray:
+    """Return the product of a real matrix and complex columns."""
+    return np.asarray((matrix @ np.ascontiguousarray(y).view(float)).view(complex))
 
 
 def _pairs(basis: Array) -> Array:
@@ -172,42 +178,52 @@ def _pairs(basis: Array) -> Array:
 
 
 def _weighted(basis: Array, y: ComplexArray, noise: Array) -> tuple[ComplexArray, Array, NDArray[np.bool_]]:
-    """Return coefficients (m, n), inverse Gram matrices (n, m, m) and which lines are determined.
+    """Return coefficients (m, n), inverse Gram matrices (n or 1, m, m) and which lines are determined.
 
     Notes
     -----
-    Lines whose channels keep the ratios of their weights share one Gram matrix; those of the others are made
-    by one matrix product. All are refined once; where the condition passes 1e7, the rows are factorised
-    instead (Golub and Van Loan 2013, Matrix Computations, 5.3).
+    Lines whose channels keep the ratios of their weights share one QR factorisation; Gram matrices of the
+    others are made by one matrix product, and refined once; where the condition passes 1e7, the rows are
+    factorised instead (Golub and Van Loan 2013, Matrix Computations, 5.3).
     """
-    size = basis.shape[1]
+    size, lines = basis.shape[1], y.shape[1]
     top = noise.max(axis=0)
     top = np.where(top > 0.0, top, 1.0)  # lines without values
     w = noise / top
-    shared = bool(np.all(np.abs(w - w[:, :1]) <= _SAME_RATIO * w[:, :1]))
-    some = w[:, :1] if shared else w
-    gram = (some.T @ _pairs(basis)).reshape(-1, size, size)
+    if noise.shape[1] == 1 or np.all(np.abs(w - w[:, :1]) <= _SAME_RATIO * w[:, :1]):
+        found = _factorised(basis, w[:, 0])
+        if found is None:
+            return np.zeros((size, lines), dtype=complex), np.zeros((1, size, size)), np.zeros(lines, bool)
+        return _times(found[0], y), found[1] / top[:, None, None], np.ones(lines, bool)
+    gram = (w.T @ _pairs(basis)).reshape(-1, size, size)
     trace = np.trace(gram, axis1=1, axis2=2)
     ridge = 1e-14 * np.where(trace > 0.0, trace, 1.0)
     inverse = np.linalg.inv(gram + ridge[:, None, None] * np.eye(size))
     condition = np.linalg.norm(inverse, axis=(1, 2)) * trace
-    enough = np.count_nonzero(some, axis=0) >= size
-    good = (condition < _CONDITION) & enough
-    z = np.zeros((size, y.shape[1]), dtype=complex)
-    left = y
+    good = condition < _CONDITION
+    z, left = np.zeros((size, lines), dtype=complex), y
     for _ in range(2):
-        right = (basis.T @ np.ascontiguousarray(some * left).view(float)).view(complex)
-        z = z + (inverse[0] @ right if shared else np.einsum("lij,jl->il", inverse, right))
-        left = y - basis @ z
-    for k in np.flatnonzero(~good & enough):
-        root = np.sqrt(some[:, k, None])
-        q, r = np.linalg.qr(basis * root)
-        diagonal = np.abs(np.diag(r))
-        if diagonal.min() > 1e-9 * diagonal.max():
-            turn, own = np.linalg.inv(r), slice(None) if shared else slice(k, k + 1)
-            z[:, own] = turn @ (q.T @ (root * y[:, own]))
-            inverse[k], good[k] = turn @ turn.T, True
-    return z, inverse / top[:, None, None], np.broadcast_to(good, top.shape)
+        z = z + np.einsum("lij,jl->il", inverse, _times(basis.T, w * left))
+        left = y - _times(basis, z)
+    for k in np.flatnonzero(~good):
+        found = _factorised(basis, w[:, k])
+        if found is not None:
+            z[:, k], inverse[k], good[k] = found[0] @ y[:, k], found[1], True
+    return z, inverse / top[:, None, None], good
+
+
+def _factorised(basis: Array, weight: Array) -> tuple[Array, Array] | None:
+    """Return the solution (m, c) of values with these weights (c,), and the inverse Gram matrix, by QR.
+
+    None where they do not determine the coefficients.
+    """
+    root = np.sqrt(weight)
+    q, r = np.linalg.qr(basis * root[:, None])
+    diagonal = np.abs(np.diag(r))
+    if len(diagonal) < basis.shape[1] or not diagonal.min() > _SINGULAR * diagonal.max():
+        return None
+    turn = np.linalg.inv(r)
+    return turn @ q.T * root, turn @ turn.T
 
 
 def robust_weight(size: Array, kind: str) -> Array:

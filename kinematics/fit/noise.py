@@ -91,9 +91,9 @@ def _levels(measurement: Measurement, body: BodyChannels, beams: BeamSet, run: i
         return levels
     readings = Readings.of(value[None], sd[None], measurement.freq_hz[some], body.arms_m, body.directions)
     lasers = laser_numbers(body.directions)
+    packed = pack(readings)
     for _ in range(_LEVEL_ROUNDS):
-        state = State(pack(replace(readings, noise_factor=levels.level)))
-        levels = channel_levels(state, lasers, levels.level)
+        levels = channel_levels(State(packed.scaled(levels.level[None])), lasers, levels.level)
     return levels
 
 

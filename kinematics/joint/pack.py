@@ -148,8 +148,8 @@ class Packed:
         return int(2 * np.sum(np.count_nonzero(self.w, axis=1) * self.columns))
 
     def scaled(self, levels: Array) -> Packed:
-        """Return the values over noise that is ``levels`` (G,) or (G, c) times as large."""
-        by = np.broadcast_to(levels.reshape(len(self.y), -1), self.w.shape)[:, :, None]
+        """Return the values over noise that is ``levels`` (G,), (1, c) or (G, c) times as large."""
+        by = np.broadcast_to(levels[:, None] if levels.ndim == 1 else levels, self.w.shape)[:, :, None]
         return replace(self, y=self.y / by, w=self.w / by[:, :, 0], rest=self.rest / by)
 
 
@@ -210,11 +210,12 @@ def _groups(
     used: NDArray[np.bool_], root: Array, run: NDArray[np.intp]
 ) -> tuple[list[NDArray[np.intp]], NDArray[np.intp]]:
     """Return groups of lines that share channels and ratios of noise, and the lines that are in none."""
-    patterns, number = np.unique(np.packbits(used, axis=0), axis=1, return_inverse=True)
-    number = number.reshape(-1)
+    number = np.zeros(used.shape[1], dtype=np.intp)
+    if not np.all(used == used[:, :1]):
+        number = np.unique(np.packbits(used, axis=0), axis=1, return_inverse=True)[1].reshape(-1)
     groups: list[NDArray[np.intp]] = []
     left: list[NDArray[np.intp]] = []
-    for pattern in range(patterns.shape[1]):
+    for pattern in range(int(number.max()) + 1):
         for own_run in np.unique(run[number == pattern]):
             lines = np.flatnonzero((number == pattern) & (run == own_run))
             some = root[:, lines]
@@ -245,7 +246,7 @@ def _turned(
     if factor.shape[1] > 1:
         own = factor[:, lines].mean(axis=1, keepdims=True)
         y = y * (own / factor[:, lines])
-    z = np.linalg.lstsq(root[:, lines[:1]] * rows, y / own, rcond=1e-9)[0]
+    z = (np.linalg.pinv(root[:, lines[:1]] * rows, rcond=1e-9) / own.T) @ y
     number = min(len(z), _COLUMNS, len(lines))
     noise = min(len(lines) - number, _NOISE_COLUMNS)
     draw = np.random.default_rng(len(lines)).normal(size=(len(lines), noise))
