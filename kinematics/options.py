@@ -67,9 +67,13 @@ FileOrNone = Annotated[
 ]
 Rules = Annotated[tuple[str, ...], Kind(_rules, "NAME=ITEMS", "NAME=ITEMS")]
 Texts = Annotated[tuple[str, ...], Kind(_texts, "BODY:POINT or BODY:POINT:BEAM", "CHANNEL")]
-Small = Annotated[
-    float, Kind(number_where(lambda value: 0.0 <= value <= 1000.0), "a number from 0 to 1000", "NUMBER")
+Degrees = Annotated[
+    float, Kind(number_where(lambda value: 0.0 <= value <= 10.0), "degrees from 0 to 10", "NUMBER")
 ]
+Microseconds = Annotated[
+    float, Kind(number_where(lambda value: 0.0 <= value <= 100.0), "microseconds from 0 to 100", "NUMBER")
+]
+"""Beyond these, two lasers are not one measurement: 10 degrees and 100 us are a hundred data sheets off."""
 CsvFile = Annotated[Path, output_file(".csv")]
 
 
@@ -152,8 +156,10 @@ class MotionOptions(Options):
         Opt("estimate axes, laser directions, gains and positions with the motion, within their sd", _LASERS),
     ] = False
     gain_sd_percent: Annotated[Percent, Opt("sd of gains between lasers, percent; 0: exact", _LASERS)] = 1.0
-    phase_sd_deg: Annotated[Small, Opt("sd of phases between lasers, degrees; 0: exact", _LASERS)] = 0.5
-    delay_sd_us: Annotated[Small, Opt("sd of delays between lasers, microseconds; 0: exact", _LASERS)] = 1.0
+    phase_sd_deg: Annotated[Degrees, Opt("sd of phases between lasers, degrees; 0: exact", _LASERS)] = 0.5
+    delay_sd_us: Annotated[
+        Microseconds, Opt("sd of delays between lasers, microseconds; 0: exact", _LASERS)
+    ] = 1.0
 
     body: Annotated[
         Rules,

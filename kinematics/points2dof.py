@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from kinematics.faults.checks import Screened, check_measurement, empty_faults, screen_zeros
-from kinematics.faults.correct import Correction, corrected
+from kinematics.faults.correct import Correction, corrected, on_all_bodies
 from kinematics.faults.other_body import points_of_other_bodies
 from kinematics.faults.search import Diagnosis, diagnose
 from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices, left_out_verdicts
@@ -104,11 +104,13 @@ def measure_motion(
     notices += [
         notice for number, body in enumerate(found) for notice in fault_notices(body, diagnoses[number])
     ]
+    applied: dict[int, Diagnosis] = diagnoses
     corrections: list[Correction] = []
     if options.correct:
-        fitted, corrections = _correct(fitted, diagnoses, options)
+        applied = on_all_bodies(found, diagnoses)
+        fitted, corrections = _correct(fitted, applied, options)
         notices += [notice for one in corrections for notice in one.notices]
-    estimate = agreement(fitted.placed, diagnoses, options.laser_sd, options.calibrate, options.correct)
+    estimate = agreement(fitted.placed, applied, options.laser_sd, options.calibrate, options.correct)
     if estimate is not None:
         notices += estimate.notices()
         if options.calibrate:

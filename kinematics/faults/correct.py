@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinematics.faults.kinds import KINDS, TREATMENTS, Finding, free
+from kinematics.faults.kinds import KINDS, TREATMENTS, Finding, Place, free
 from kinematics.faults.search import Diagnosis
 from kinematics.faults.sentences import culprit, describe
 from kinematics.joint.estimate import joint
-from kinematics.joint.expected import ChannelError
+from kinematics.joint.expected import ChannelError, body_starts, lasers_of
 from kinematics.joint.tangents import Geometry, Parameters
 from kinematics.measurement import BodyChannels
 from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
+
+_CONTRADICTED = 1e-3  # probability of what a body says of a fault that another one shows
 
 
 @dataclass(frozen=True)
@@ -54,13 +57,15 @@ def corrected(body: BodyChannels, diagnosis: Diagnosis, freq_hz: Array, first: i
         Number of its first channel among those of all bodies.
     """
     count = len(body.points)
-    estimated = [one for one in diagnosis.findings if one.treatment == "estimate"]
+    applied = [one for one in diagnosis.findings if one.treatment == "estimate"]
+    estimated = [one for one in applied if not one.shown_by]
     last = diagnosis.last
     readings = last.readings
     parameters = sum((free(one.kind, one.channels, count) for one in estimated), Parameters.of(count))
-    values = np.concatenate([np.zeros(0), *(one.values for one in estimated)])
+    every = sum((free(one.kind, one.channels, count) for one in applied), Parameters.of(count))
+    values = np.concatenate([np.zeros(0), *(one.values for one in applied)])
     base = Geometry(body.arms_m, body.directions, np.ones((1, count), dtype=complex))
-    moved = base.moved(parameters, values, np.linspace(-1.0, 1.0, len(freq_hz)), 2.0 * np.pi * freq_hz)
+    moved = base.moved(every, values, np.linspace(-1.0, 1.0, len(freq_hz)), 2.0 * np.pi * freq_hz)
     left_out = ~np.isfinite(readings.noise_factor)
     value = body.value / moved.factor.T
     value[:, left_out] = np.nan
@@ -76,20 +81,70 @@ def corrected(body: BodyChannels, diagnosis: Diagnosis, freq_hz: Array, first: i
         positions_m=body.arms_m + shift,
         directions=readings.geometry.directions,
     )
-    fit = joint(last.packed, parameters + last.expected, np.concatenate([0.0 * values, last.estimate.values]))
     size = len(parameters)
+    fit = joint(last.packed, parameters + last.expected, np.r_[np.zeros(size), last.estimate.values])
     covariance = fit.covariance[:size, :size] * last.noise.level
     return Correction(changed, _errors(body, estimated, first), covariance, tuple(
-        Notice("corrected", f"{culprit(one, body)}: {TREATMENTS[one.treatment]} ({describe(one, body)}).")
+        Notice(
+            "corrected",
+            f"{culprit(one, body)}: {TREATMENTS[one.treatment]} ({describe(one, body)}"
+            f"{one.shown_by and f', as body {one.shown_by} shows'}).",
+        )
         for one in diagnosis.findings
     ))  # fmt: skip
+
+
+def on_all_bodies(bodies: Sequence[BodyChannels], diagnoses: Mapping[int, Diagnosis]) -> dict[int, Diagnosis]:
+    """Return the diagnoses with the faults of a laser that one body shows in all that it measures.
+
+    A body with few points or much noise may not show a fault of a laser; what its values say of it must not
+    contradict the estimate.
+    """
+    done = dict(diagnoses)
+    lasers, starts = lasers_of(bodies)[0], body_starts(bodies)
+    for source, found in diagnoses.items():
+        findings = list(found.findings)
+        for place, one in enumerate(findings):
+            if one.owner != "laser" or one.treatment != "estimate":
+                continue
+            laser = next(own for own in lasers if starts[source] + one.channels[0] in own)
+            for number in set(done) - {source}:
+                inside = range(starts[number], starts[number + 1])
+                same = replace(
+                    one,
+                    place=Place(
+                        "laser", tuple(channel - starts[number] for channel in laser if channel in inside)
+                    ),
+                    shown_by=bodies[source].body,
+                )
+                if same.channels and _agrees(done[number], same):
+                    there = tuple(starts[number] + channel for channel in same.channels)
+                    findings[place] = replace(findings[place], elsewhere=(*findings[place].elsewhere, *there))
+                    done[number] = done[number].with_finding(same)
+        done[source] = replace(done[source], findings=(*findings, *done[source].findings[len(findings) :]))
+    return done
+
+
+def _agrees(diagnosis: Diagnosis, fault: Finding) -> bool:
+    """Return whether a body without a fault of its own in a laser may have one that another body shows."""
+    from scipy.special import chdtrc
+
+    last, size = diagnosis.last, len(fault.values)
+    accused = {channel for one in diagnosis.findings for channel in one.channels}
+    if diagnosis.causes or accused & set(fault.channels):
+        return False
+    parameters = free(fault.kind, fault.channels, len(last.layout.points)) + last.expected
+    fit = joint(last.packed, parameters)
+    apart = fit.values[:size] - fault.values
+    spread = fit.covariance[:size, :size] * last.noise.level + np.diag(fault.sd**2)
+    return float(chdtrc(size, apart @ np.linalg.solve(spread, apart))) > _CONTRADICTED
 
 
 def _errors(body: BodyChannels, estimated: list[Finding], first: int) -> tuple[ChannelError, ...]:
     """Return the corrected findings as errors of channels, with the sd of each estimate."""
     found = []
     for number, one in enumerate(estimated):
-        channels = tuple(first + channel for channel in one.channels)
+        channels = (*(first + channel for channel in one.channels), *one.elsewhere)
         for k, tangent in enumerate(KINDS[one.kind].tangents):
             name = f"{body.body}.{one.owner}_{number + 1}.{one.kind}_{k + 1}"
             found.append(ChannelError(name, channels, tangent, float(one.sd[k])))

@@ -103,6 +103,10 @@ class Finding:
         Numbers that it takes from the data: values that are left out, or its size.
     geometry : Geometry or None
         With exchanged names back in place.
+    shown_by : str
+        Of a laser: the other body whose values show it; empty where those of this body do.
+    elsewhere : tuple of int
+        Its channels on bodies that do not show it, out of those of all bodies.
     """
 
     kind: str
@@ -114,6 +118,8 @@ class Finding:
     fall: float = 0.0
     count: int = 0
     geometry: Geometry | None = None
+    shown_by: str = ""
+    elsewhere: tuple[int, ...] = ()
 
     @property
     def owner(self) -> str:

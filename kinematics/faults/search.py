@@ -62,6 +62,11 @@ class Diagnosis:
     last: Round
     causes: tuple[Cause, ...] = ()
 
+    def with_finding(self, finding: Finding) -> Diagnosis:
+        """Return the diagnosis with one finding more."""
+        last = null_fit(_believed(self.last, finding), self.last.layout)
+        return replace(self, findings=(*self.findings, finding), last=last)
+
 
 def diagnose(
     body: BodyChannels,
