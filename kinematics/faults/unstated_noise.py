@@ -94,8 +94,8 @@ def line_residuals(readings: Readings, state: State, robust: str = "none") -> Li
     found = solve(rows, value, sd, robust)
     fitted = rows @ found.z
     own = found.freedom / (2.0 * np.maximum(found.used, 1))
-    left = np.asarray(np.where(np.isfinite(value), value - fitted, np.nan), dtype=complex)
-    return LineResiduals(found.z, left * (1.0 / sd), np.abs(fitted) / sd, own)
+    left = np.where(np.isfinite(value), value - fitted, np.nan)
+    return LineResiduals(found.z, (left * (1.0 / sd)).astype(complex), np.abs(fitted) / sd, own)
 
 
 def amplitude_noise(readings: Readings, state: State) -> Readings | None:
