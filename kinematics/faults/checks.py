@@ -24,6 +24,7 @@ SLOWEST, FASTEST = 1e-6, 20e-3
 _LARGEST_RATIO = 100.0  # between bodies: a resonance makes ten, in the median of a band not hundreds
 LEAST_VALUES = 50  # fewer say too little of a distribution
 _WIDE_BAND = 2.0  # last over first frequency from which damping turns the phase by more than pi degrees
+_HALF_TURNS = ((np.pi, "radians"), (1.0, "multiples of pi"), (0.5, "cycles"))
 _DECIBELS = (20.0, 200.0)
 _SAMPLE = 100_000  # values looked at
 
@@ -189,14 +190,19 @@ def ratios(measurement: Measurement) -> Iterator[Notice]:
             yield _unit_slip(text, "Check the units of both")
 
 
-def radians(measurement: Measurement) -> Iterator[Notice]:
-    """Look whether all phases lie within pi degrees: radians in a column of degrees."""
+def phases(measurement: Measurement) -> Iterator[Notice]:
+    """Look whether no phase is larger than a turn in another unit, or all are 0, as of magnitudes alone."""
     wide = measurement.freq_hz[-1] > _WIDE_BAND * measurement.freq_hz[0]
     for body in measurement.bodies if wide else ():
         phase = np.abs(np.rad2deg(np.angle(_known(body))))
-        if phase.size > LEAST_VALUES and 1.0 < float(np.max(phase)) <= np.pi * (1 + 1e-6):
-            text = f"all phases of body {body.body} lie within 3.1416 degrees"
-            yield _unit_slip(text, "They look like radians in a column of degrees")
+        largest = float(np.max(phase, initial=0.0)) / (1.0 + 1e-6)
+        if phase.size > LEAST_VALUES and largest == 0.0:
+            text = f"all values of body {body.body} are real and positive"
+            yield _unit_slip(text, "They look like magnitudes without their phases")
+        for half_turn, unit in _HALF_TURNS if phase.size > LEAST_VALUES else ():
+            if 0.5 * half_turn < largest <= half_turn:
+                text = f"all phases of body {body.body} lie within {half_turn:.5g} degrees"
+                yield _unit_slip(text, f"They look like {unit} in a column of degrees")
 
 
 def decibels(measurement: Measurement) -> Iterator[Notice]:
@@ -237,6 +243,6 @@ def _misfit(values: BodyChannels, places: BodyChannels) -> float:
 
 
 CHECKS: tuple[Callable[[Measurement], Iterator[Notice]], ...] = (
-    frequencies, velocities, ratios, radians, decibels, exchanged_bodies,
+    frequencies, velocities, ratios, phases, decibels, exchanged_bodies,
 )  # fmt: skip
 """All checks. A new one is one function and one entry."""

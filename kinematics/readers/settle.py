@@ -69,7 +69,7 @@ def settled(found: Recording, facts: FileFacts) -> Recording:
     if any(np.any(row.freq_hz == 0.0) for row in rows):
         rows = [_at(row, row.freq_hz != 0.0) if np.any(row.freq_hz != 0.0) else row for row in rows]
         notices.append(Notice("file_read", f"the line at 0 Hz of {file} holds no motion and was dropped."))
-    raise_all([*faults, *_line_faults(rows), *_range_faults(rows)])
+    raise_all([*faults, *_line_faults(rows), *_range_faults(rows), *_mirrored_faults(rows)])
     rows, about_lines = on_one_grid(rows, file)
     raise_all(twice_faults(rows))
     rows, lacks, assumed = with_facts(rows, found, facts)
@@ -238,6 +238,18 @@ def _line_faults(rows: Sequence[Row]) -> list[Fault]:
     want = "finite, above 0, and different in one channel and run"
     step = "Write every frequency once, in Hz; number repeats in a column repeat"
     return _faults_of(bad, "the frequencies", want, list_some(got), step)
+
+
+def _mirrored_faults(rows: Sequence[Row]) -> list[Fault]:
+    """Refuse lines up to the sampling rate: the second half of a whole transform is the first, conjugated."""
+    bad = list[tuple[Row, Any]]()
+    for row in rows:
+        value, mirrored = row.value, row.value[::-1].conj()
+        alike = len(value) > 2 and np.allclose(value[:2], mirrored[:2], 1e-6, 0.0)
+        if alike and np.any(value.imag) and np.allclose(value, mirrored, 1e-6, 0.0, equal_nan=True):
+            bad.append((row, np.arange(len(value)) >= len(value) // 2))
+    got, step = "a second half that mirrors the first", "Keep the lines up to half the sampling rate"
+    return _faults_of(bad, "the spectra", "one-sided", got, step)
 
 
 def _range_faults(rows: Sequence[Row]) -> list[Fault]:

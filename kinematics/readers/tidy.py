@@ -110,6 +110,9 @@ def _columns_of(header: Sequence[str], file: str) -> Columns:
         want = "re_m_s with im_m_s, or amp_m_s with phase_deg (or another unit), once"
         step = "Add the missing column, or remove the others"
         faults.append(Fault("the value", want, ", ".join(values) or "none of them", place, step))
+    if "dir" in header and (both := [name for name in DIRECTION if name in header]):
+        got = f"dir and {', '.join(both)}"
+        faults.append(Fault("the direction", "in one way", got, place, "Remove dir, or the others"))
     raise_all(faults)
     first = units[pair[0]]
     if len({replace(units[name], part="") for name in values}) > 1:

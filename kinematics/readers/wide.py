@@ -154,13 +154,15 @@ def _row(sheet: Sheet, parts: dict[str, int]) -> Row:
         raise sheet.refuse("real and imaginary part", "in one unit", f"{unit} and {sheet.units[other]}")
     if polar and turn is None:
         raise sheet.refuse("the unit of the phases", "deg or rad", sheet.units[other])
+    gamma = parts.get("coherence")
+    percent = gamma is not None and sheet.units[gamma] == "%"
     words = _WORD.findall(f"{sheet.field_of(('signal',))} {sheet.names[one]}".lower())
     return Row(
         "",
         np.empty(0),
         from_polar(first, second, turn or 1.0) if polar else from_parts(first, second),
         f"{unit} rms" if not set(words).isdisjoint(_AMPLITUDES) and unit else unit,
-        coherence=sheet.numbers[..., parts["coherence"]] if "coherence" in parts else None,
+        coherence=None if gamma is None else sheet.numbers[..., gamma] * (0.01 if percent else 1.0),
         where=sheet.where,
         source=sheet.names[one],
     )

@@ -53,7 +53,6 @@ def test_a_sound_file_passes(ear):
     [
         (lambda value: value * 1e3, "unit_slip"),
         (lambda value: value * 1e-6, "unit_slip"),
-        (lambda value: np.abs(value) * np.exp(1j * np.deg2rad(np.angle(value))), "unit_slip"),
         (
             lambda value: (
                 (120.0 + 20.0 * np.log10(np.abs(value) / 1e-3) / 3.0) * np.exp(1j * np.angle(value))
@@ -81,6 +80,16 @@ def test_amplitudes_of_the_other_sign_of_time_are_told(bodies):
         values = (q.real + 1j * sign * q.imag)[None]
         motion = RigidMotion(("1",), bodies, DOF_NAMES, freq_hz, values, covariance, sums, sums.astype(int))
         assert [notice.code for notice in phase_notices(motion)] == expected
+
+
+@pytest.mark.parametrize("turns", [1.0, 2.0, 2.0 * np.pi, 0.0])
+def test_phases_that_no_column_of_degrees_holds_are_named(ear, turns):
+    """Turns, multiples of pi or radians read as degrees; magnitudes alone."""
+
+    def as_degrees(value):
+        return np.abs(value) * np.exp(1j * np.deg2rad(turns * np.angle(value) / (2.0 * np.pi)))
+
+    assert "unit_slip" in codes(with_values(ear, as_degrees))
 
 
 def test_units_of_frequencies(ear):

@@ -148,6 +148,7 @@ def test_a_name_of_another_language_is_one_fault(tmp_path):
 HEADERS = {
     "no unit": (HEAD.replace("re_m_s", "re"), "the unit of column re"),
     "no direction": (HEAD.replace("dir,", "way,"), "the table"),
+    "two directions": (HEAD.replace("dir,", "dir,dir_x,"), "the direction"),
     "both pairs": (f"{HEAD},amp_m_s", "the value"),
     "two units": (HEAD.replace("im_m_s", "im_mm_s"), "real and imaginary part"),
     "other sd": (f"{HEAD},sd_um", "the standard deviation"),
@@ -159,7 +160,8 @@ HEADERS = {
 @pytest.mark.parametrize("name", HEADERS)
 def test_mistakes_of_the_header(name, tmp_path):
     head, thing = HEADERS[name]
-    rows = [f"{row}," if head.count(",") > HEAD.count(",") else row for row in ROWS]
+    rows = [row.replace(",y,", ",y,1,") for row in ROWS] if "dir_x" in head else ROWS
+    rows = [f"{row}," if head.count(",") > rows[0].count(",") else row for row in rows]
     assert thing in {fault.thing for fault in faults(table(tmp_path, rows, head))}
 
 

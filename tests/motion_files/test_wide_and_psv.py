@@ -139,6 +139,21 @@ def test_numbers_that_may_mean_something_else_are_refused(name, tmp_path):
     assert [fault.thing for fault in faults(path)] == [thing]
 
 
+def test_coherence_in_percent_is_read_by_its_unit(tmp_path):
+    text = "Frequency [Hz],P1 x Re [m/s],P1 x Im [m/s],P1 x Coherence [%]\n400,1,2,98\n500,2,3,0.5\n"
+    assert np.allclose(read_file(written(tmp_path, text), FileFacts()).coherence, [[0.98, 0.005]])
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_a_transform_up_to_the_sampling_rate_is_refused(whole, tmp_path):
+    """Its second half mirrors the first; with 0 Hz or without."""
+    signal = np.random.default_rng(2).normal(size=32)
+    lines = np.column_stack([50.0 * np.arange(32), np.fft.fft(signal).real, np.fft.fft(signal).imag])
+    rows = [",".join(f"{value:.9g}" for value in line) for line in lines[0 if whole else 1 :]]
+    text = "\n".join(["Frequency [Hz],P1 x Re [m/s],P1 x Im [m/s]", *rows]) + "\n"
+    assert [fault.thing for fault in faults(written(tmp_path, text))] == ["the spectra"]
+
+
 def test_cells_and_rows_at_fault_are_listed_with_their_lines(tmp_path):
     lines = wide_table().strip().split("\n")
     lines[2] = lines[2].replace(lines[2].split(",")[3], "lost")
