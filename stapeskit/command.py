@@ -49,12 +49,7 @@ class Outcome:
 def run(prog: str, work: Callable[[list[str]], Outcome | None]) -> NoReturn:
     """Run a command's work and leave the process with its exit code.
 
-    Parameters
-    ----------
-    prog : str
-        The command's name.
-    work : callable
-        Takes the words of the command line; returns the outcome, or None when it has printed already.
+    The work takes the words of the command line; it returns the outcome, or None when it has printed already.
     """
     import atexit
     import gc
@@ -127,14 +122,13 @@ def printable(text: str) -> str:
     return "".join(letter if letter.isprintable() or letter in "\n\t" else "?" for letter in text)
 
 
+@dataclass
 class _Printable:
     """A stream that writes only what `printable` leaves of a text."""
 
-    def __init__(self, stream: Any) -> None:
-        self.stream = stream
+    stream: Any
 
     def write(self, text: str) -> int:
-        """Write a text."""
         return int(self.stream.write(printable(text)))
 
     def __getattr__(self, name: str) -> Any:

@@ -14,14 +14,7 @@ _LONGEST_TOML = 10_000_000  # bytes: a thousand times the longest study
 
 
 def read_json(path: Path, what: str, made_by: str) -> dict[str, Any]:
-    """Return the object of a JSON file.
-
-    Parameters
-    ----------
-    what : str
-        What the file is, for the message: ``the mass file``.
-    made_by : str
-        What the user can do: ``Make the file with ct2mass``.
+    """Return the object of a JSON file; ``what`` it is, and ``made_by``, what to do, are for the message.
 
     Raises
     ------

@@ -7,12 +7,11 @@ that no pose brings within a millimetre. The rest is named in a warning.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
@@ -28,7 +27,6 @@ MOST_RESIDUAL_MM = 1.0
 _THIN = 0.02  # of their extent: flatter points count as coplanar, since their mirror image fits as well
 _NOTICEABLE_MM = 0.05  # the accuracy of marks: smaller errors are not reported where no sd is stated
 _CONSPICUOUS = 4.0  # times that accuracy: scatter of 12 degrees of freedom exceeds it by chance in 3e-6
-_MOST_REORDERED = 8  # fiducials, with 322 orders that move three or four of them: a hundredth of a second
 _SCALE = 1e-3  # smaller differences of scale are not named
 _PRICE = 5.0  # of a free parameter, in units of chi2: as much is gained by chance in 2.5 % of right sets
 _ALIKE = 6.0  # twice the log likelihood (20 to 1) by which causes differ that cannot be distinguished
@@ -122,12 +120,9 @@ def notices_of(pairs: Pairs) -> list[Notice]:
         return notices
     words = _best_cause(pairs) if count > 3 else ""
     why = "no single cause explains it" if count > 3 else "three cannot tell which (add a fourth)"
-    rms_mm = pairs.rms_mm(pairs.chi2)
+    rms_mm, want = pairs.rms_mm(pairs.chi2), f"in agreement within {MOST_RESIDUAL_MM:g} mm"
     if rms_mm > MOST_RESIDUAL_MM:
-        want, got = (
-            f"in agreement within {MOST_RESIDUAL_MM:g} mm",
-            f"{rms_mm:.3g} mm (root mean square residual)",
-        )
+        got = f"{rms_mm:.3g} mm (root mean square residual)"
         raise StapeskitError.of("the fiducials", want, got, "", f"Check them: {words or why}")
     size = float(np.sqrt(pairs.chi2 / pairs.n_dof))
     if pairs.stated:
@@ -176,15 +171,16 @@ def _causes(pairs: Pairs) -> Iterator[Cause]:
         refusal = (thing, "right-handed", undo_mirror(pairs.to, pairs.source))
         left = float(misfits(source * [1.0, 1.0, -1.0], target, weights)[0])
         yield Cause("points that fit only as a mirror image", left, refusal=refusal)
-    refusal = (
-        "the names of the fiducials",
-        "those of the same points in both frames",
-        "Correct the names, or the order of the references",
-    )
-    for orders in _other_orders(count):
-        for left, order in zip(misfits(source, target[orders], weights)[0], orders.tolist(), strict=True):
-            words = _order_words(order, pairs.names)
-            yield Cause(words, float(left), number=len(orders), refusal=refusal)
+    same = "those of the same points in both frames"
+    refusal = ("the names of the fiducials", same, "Correct the names, or the order of the references")
+    couples = list(combinations(range(count), 2))
+    orders = np.tile(np.arange(count), (len(couples), 1))
+    for order, (one, other) in zip(orders, couples, strict=True):
+        order[[one, other]] = other, one
+    lefts = misfits(source, target[orders], weights)[0]
+    for left, (one, other) in zip(lefts.tolist(), couples, strict=True):
+        words = f"{pairs.names[one]} and {pairs.names[other]} exchanged"
+        yield Cause(words, left, number=len(couples), refusal=refusal)
     scale, left = _scale(pairs)
     if abs(scale - 1.0) > _SCALE:
         words = (
@@ -206,25 +202,6 @@ def _causes(pairs: Pairs) -> Iterator[Cause]:
         yield Cause(words, float(sums[place]), 3, count, name=name, size_mm=size_mm)
 
 
-def _other_orders(count: int) -> Iterator[NDArray[np.int_]]:
-    """Yield orders (n, count): two points exchanged, and of few points three in a circle and two pairs."""
-    couples = list(combinations(range(count), 2))
-    once = np.tile(np.arange(count), (len(couples), 1))
-    for order, (one, other) in zip(once, couples, strict=True):
-        order[[one, other]] = other, one
-    yield once
-    if count <= _MOST_REORDERED:
-        both = np.unique(np.concatenate([once[:, order] for order in once]), axis=0)
-        yield both[np.sum(both != np.arange(count), axis=1) > 2]
-
-
-def _order_words(order: Sequence[int], names: Sequence[str]) -> str:
-    """Say which points are named wrongly, where the reference of point k is that named ``order[k]``."""
-    moved = [(k, other) for k, other in enumerate(order) if other != k]
-    pairs = [f"{names[k]} and {names[o]} exchanged" for k, o in moved if order[o] == k and k < o]
-    return "; ".join([*pairs, *(f"{names[k]} is {names[o]}" for k, o in moved if order[o] != k)])
-
-
 def _scale(pairs: Pairs) -> tuple[float, float]:
     """Return the best scale of the source and what it leaves (Umeyama 1991, doi:10.1109/34.88573, Eq. 42)."""
     rotation, _ = kabsch(pairs.source_mm, pairs.target_mm, pairs.weights)
@@ -238,8 +215,6 @@ def _scale(pairs: Pairs) -> tuple[float, float]:
 def _is_likely(pairs: Pairs, cause: Cause) -> bool:
     """Return whether a cause gains too much for chance; one without parameters must leave noise alone.
 
-    Notes
-    -----
     With stated sd: chi2 of the fit of all, p < 0.001. Without, what a cause leaves is the only scale: F test
     of its gain, corrected for the number of such causes (Cook and Weisberg 1982, Residuals and Influence in
     Regression, section 2.2).

@@ -18,7 +18,7 @@ import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 from typing import (
@@ -40,33 +40,22 @@ from stapeskit.option_types import Kind, WithSd, number, one_of
 
 _UNIT = re.compile(r"_(mm|um|hz|kg_m3|percent|deg|us|db)$")
 _FUNCTION = TypeVar("_FUNCTION", bound=Callable[..., Any])
+_ANY = Kind(number, "")
 
 
 @dataclass(frozen=True)
 class Opt:
-    """An option: how people meet it, as declared, and what the table adds from the field.
+    """An option: how people meet it, as declared; the last four fields are added by its table."""
 
-    Attributes
-    ----------
-    help, group : str
-        What it does, one phrase; heading in the help.
-    example, name
-        A value, as in a study file, else the default; flag and keyword, else the key without its unit.
-    positional, repeats, recommended : bool
-        It has no flag; it may be given several times; the template of a study sets it to the example.
-    key, kind, annotation, default
-        Of the field.
-    """
-
-    help: str
-    group: str = ""
-    example: Any = None
-    name: str = ""
-    positional: bool = False
-    repeats: bool = False
-    recommended: bool = False
+    help: str  # what it does, one phrase
+    group: str = ""  # heading in the help
+    example: Any = None  # a value, as in a study file; else the default
+    name: str = ""  # flag and keyword; else the key without its unit
+    positional: bool = False  # without a flag
+    repeats: bool = False  # may be given several times
+    recommended: bool = False  # the template of a study sets it to the example
     key: str = ""
-    kind: Kind = field(default_factory=lambda: Kind(number, ""))
+    kind: Kind = _ANY
     annotation: Any = None
     default: Any = None
 
@@ -125,48 +114,29 @@ class Options:
         return _entries(cls)  # type: ignore[arg-type]
 
     @classmethod
-    def key_names(cls) -> tuple[str, ...]:
-        """Return the keys of the table in a study file."""
-        return tuple(entry.key for entry in cls.entries())
-
-    @classmethod
     def of(cls, **keywords: Any) -> Self:
-        """Make the table from keywords by name (``box=``); keys (``box_mm=``) are taken, too.
-
-        Raises
-        ------
-        StapeskitError
-            Every fault of names and values, and every contradiction.
-        """
+        """Make the table from keywords by name (``box=``); keys (``box_mm=``) are taken, too: see `read`."""
         keys = {entry.name: entry.key for entry in cls.entries()}
         values = {keys.get(name, name): value for name, value in keywords.items() if value is not None}
         return cls.read(values, "", {key: name for name, key in keys.items()})
 
     @classmethod
     def from_study(cls, values: Mapping[str, Any], file: str, folder: Path) -> Self:
-        """Make the table from its part of a study file; relative paths are relative to its folder.
+        """Make the table from its part of a study file; paths are relative to its folder: see `read`."""
+        return cls.read(values, file, cls.key_names(), folder)
 
-        Raises
-        ------
-        StapeskitError
-            As `read`.
-        """
-        return cls.read(values, file, {key: f"{cls.table}.{key}" for key in cls.key_names()}, folder)
+    @classmethod
+    def key_names(cls) -> dict[str, str]:
+        """Return the keys of the table in a study file, each with its table: ``box_mm``, ``scan.box_mm``."""
+        return {entry.key: f"{cls.table}.{entry.key}" for entry in cls.entries()}
 
     @classmethod
     def read(
         cls, values: Mapping[str, Any], where: str, called: Mapping[str, str], folder: Path | None = None
     ) -> Self:
-        """Check values by key.
+        """Check values by key, from the file ``where``; paths start at ``folder``.
 
-        Parameters
-        ----------
-        where : str
-            File that holds them, for messages.
-        called : mapping of str to str
-            What the reader of the messages calls each key.
-        folder : Path, optional
-            Folder that relative paths start from.
+        Its messages call each key as ``called`` says.
 
         Raises
         ------
@@ -210,8 +180,9 @@ class Options:
         try:
             yield
         except StapeskitError as error:
-            keys = {key: f"{cls.table}.{key}" for key in cls.key_names()}
-            raise StapeskitError(*(cls._as_called(fault, keys) for fault in error.faults)) from error
+            raise StapeskitError(
+                *(cls._as_called(fault, cls.key_names()) for fault in error.faults)
+            ) from error
 
     def given(self) -> dict[str, Any]:
         """Return what differs from its default, by key, as JSON has it: for the provenance of a result."""
@@ -225,10 +196,10 @@ def _entries(table: type[Options]) -> tuple[Opt, ...]:
     for one in fields(table):  # type: ignore[arg-type]
         opt: Opt = get_args(hints[one.name])[-1]
         kind, bare = _kind_and_type(hints[one.name])
-        own = {"key": one.name, "kind": kind, "annotation": bare, "default": one.default}
         name = opt.name or _UNIT.sub("", one.name)
         example = one.default if opt.example is None else opt.example
-        found.append(replace(opt, name=name, example=example, **own))
+        own = {"name": name, "example": example, "key": one.name, "kind": kind, "annotation": bare}
+        found.append(replace(opt, default=one.default, **own))
     return tuple(found)
 
 
@@ -326,8 +297,8 @@ def template(title: str, tables: Sequence[type[Options]]) -> str:
 def markdown_table(table: type[Options], flags: bool = True, without: Sequence[str] = ()) -> str:
     """Return options as a Markdown table: name, and meaning with the default.
 
-    With ``flags`` the name is that of the command line, with the key of a study file where that differs;
-    without, it is the key. Those named in ``without`` are left out.
+    With ``flags`` the name is that of the command line, and the key of a study file where that differs;
+    without, it is the key.
     """
     lines = ["| option | what it does |", "|-|-|"]
     for entry in (entry for entry in table.entries() if entry.name not in without):

@@ -14,16 +14,8 @@ _UNITS = {"m": 1000.0, "inches": 25.4, "cm": 10.0, "um": 1e-3}  # mm
 
 
 def kabsch(source_mm: Array, target_mm: Array, weights: Array) -> tuple[Array, Array]:
-    """Return rotations (..., 3, 3) and shifts (..., 3), mm, of weighted least-squares fits.
+    """Return rotations (..., 3, 3) and shifts (..., 3), mm, of fits of points (..., n, 3), weights (..., n).
 
-    Parameters
-    ----------
-    source_mm, target_mm : ndarray, (..., n, 3)
-        One set of points, or many.
-    weights : ndarray, (..., n)
-
-    Notes
-    -----
     Kabsch 1976 (doi:10.1107/S0567739476001873); the sign of Umeyama 1991 (doi:10.1109/34.88573) makes it
     never a reflection.
     """

@@ -51,8 +51,6 @@ class Registration:
     def target_registration_error(self, points_mm: ArrayLike) -> Array:
         """Return the expected root mean square error (n,), mm, of mapped points (n, 3) given in source mm.
 
-        Notes
-        -----
         Fitzpatrick, West and Maurer 1998 (doi:10.1109/42.736021) give the same to first order for equal sd.
         """
         rows = pose_rows(1e-3 * np.atleast_2d(np.asarray(points_mm, dtype=float)))

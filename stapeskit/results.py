@@ -88,8 +88,6 @@ class Result(ABC):
 def shorten_line(text: str, most: int = _WIDEST) -> str:
     """Return a text of at most ``most`` letters on one line.
 
-    Examples
-    --------
     >>> shorten_line("one   and\\ntwo", 9)
     'one an...'
     """
@@ -100,8 +98,6 @@ def shorten_line(text: str, most: int = _WIDEST) -> str:
 def list_codes(notices: Iterable[Notice]) -> str:
     """Return the codes of warnings, each once, with how often it occurs.
 
-    Examples
-    --------
     >>> list_codes([Notice("a", ""), Notice("b", ""), Notice("a", "")]), list_codes([])
     ('a (2), b', 'none')
     """

@@ -12,7 +12,6 @@ import io
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -80,13 +79,16 @@ class Table:
 
 @dataclass(frozen=True)
 class _Sheet:
-    """A CSV file whose header was found: UTF-8 bytes below the header, and the line at which they begin."""
+    """A CSV file whose header was found, and the line at which what is below it begins."""
 
     file: str
     header: tuple[str, ...]
     separator: str
-    body: bytes
+    body: str
     line: int
+
+    def where(self, line: int) -> Place:
+        return Place(self.file, "line", (line,))
 
 
 def read_table(path: Path, choose: Choose) -> Table:
@@ -94,7 +96,6 @@ def read_table(path: Path, choose: Choose) -> Table:
 
     Parameters
     ----------
-    path : Path
     choose : callable
         See `Choose`. A fault that it places in line 1 is placed in the line of the header.
 
@@ -108,7 +109,7 @@ def read_table(path: Path, choose: Choose) -> Table:
     try:
         numbers, texts = choose(sheet.header, sheet.file)
     except StapeskitError as error:
-        assumed, there = Place(sheet.file, "line", (1,)), Place(sheet.file, "line", (sheet.line - 1,))
+        assumed, there = sheet.where(1), sheet.where(sheet.line - 1)
         faults = (replace(fault, where=there) if fault.where == assumed else fault for fault in error.faults)
         raise StapeskitError(*faults) from error
     table = _read_alike(sheet, numbers, texts) or _read_cells(sheet, numbers, texts)
@@ -131,12 +132,9 @@ def write_columns(path: Path, columns: Mapping[str, Iterable[object]]) -> None:
 
 def _open(path: Path) -> _Sheet:
     """Read a file and find its header, below blank lines, comments and the line ``sep=;``."""
-    whole, file = _bytes(path), path.name
-    begin = whole.rfind(b"\n", 0, len(whole) - len(whole.lstrip())) + 1  # below blank lines
-    rest, line, marked, head = whole[begin:], 1 + whole.count(b"\n", 0, begin), "", ""
+    rest, file, line, marked = _text(path), path.name, 1, ""
     while True:
-        first, _, rest = rest.partition(b"\n")
-        head, line = first.decode("utf-8").rstrip("\r"), line + 1
+        (head, _, rest), line = rest.partition("\n"), line + 1
         if found := re.fullmatch(r'\s*"?sep=(.)"?[,;\s]*', head, re.IGNORECASE):
             marked = found[1]
         elif head.strip() and not head.lstrip().startswith("#"):
@@ -147,7 +145,7 @@ def _open(path: Path) -> _Sheet:
     separator = marked if marked in _SEPARATORS and marked in head else max(_SEPARATORS, key=bare.count)
     where = Place(file, "line", (line - 1,))
     try:
-        header = [_column_name(cell) for cell in next(csv.reader([head], delimiter=separator))]
+        header = [_column_name(cell) for cell in next(csv.reader([head.rstrip("\r")], delimiter=separator))]
     except csv.Error as error:
         got, step = str(error), "End lines with a line feed, and put quotes around whole names only"
         raise StapeskitError.of("the header", "one line of names", got, where, step) from error
@@ -159,35 +157,27 @@ def _open(path: Path) -> _Sheet:
     if twice := sorted(name for name, times in Counter(header).items() if name and times > 1):
         got, step = f"{', '.join(twice)} twice", "Rename or remove one of them"
         raise StapeskitError.of("column names", "different", got, where, step)
-    full = len(rest.rstrip(b" \t\r\n;,"))  # without empty rows at the end, which spreadsheets write
-    last = rest.find(b"\n", full)
-    return _Sheet(file, tuple(header), separator, rest[: last + 1 or None] if full else b"", line)
+    return _Sheet(file, tuple(header), separator, rest, line)
 
 
-def _bytes(path: Path) -> bytes:
-    """Return the content of a file as UTF-8 with line feeds."""
+def _text(path: Path) -> str:
     if not path.is_file():
         raise StapeskitError.of("the table", "an existing CSV file", path, "", "Check its name and folder")
-    data, step = path.read_bytes(), "Save it as CSV UTF-8"
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        with suppress(UnicodeDecodeError):
-            data = data.decode("utf-16").encode("utf-8")
-    data = data.removeprefix(b"\xef\xbb\xbf")
-    if b"\x00" in data:
+    data, where, got = path.read_bytes(), Place(path.name), ""
+    encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+    if encoding != "utf-16" and b"\x00" in data:
         got = "UTF-16 or binary data without a byte order mark"
-        raise StapeskitError.of("a CSV file", "text in UTF-8", got, path.name, step)
-    if not data or data.isspace():
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError as error:
+        text, got = "?", got or "another encoding"
+        where = Place(path.name, "line", (1 + data.count(b"\n", 0, error.start),))
+    if got:
+        raise StapeskitError.of("a CSV file", "text in UTF-8", got, where, "Save it as CSV UTF-8")
+    if not text.strip():
         got, step = "an empty file", "Export it again"
         raise StapeskitError.of("a CSV file", "a header and rows", got, path.name, step)
-    if b"\n" not in data:
-        data = data.replace(b"\r", b"\n")
-    try:
-        if not data.isascii():
-            data.decode("utf-8")
-    except UnicodeDecodeError as error:
-        where = Place(path.name, "line", (1 + data.count(b"\n", 0, error.start),))
-        raise StapeskitError.of("a CSV file", "text in UTF-8", "another encoding", where, step) from error
-    return data
+    return text if "\n" in text else text.replace("\r", "\n")
 
 
 def _column_name(cell: str) -> str:
@@ -200,52 +190,37 @@ def _column_name(cell: str) -> str:
 
 def _read_alike(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table | None:
     """Read a table whose rows all have as many plain cells, no number missing; None for another one."""
-    text = sheet.body.decode("utf-8")
-    lines = text.removesuffix("\n").split("\n")
-    alike = {line.count(sheet.separator) for line in lines} == {len(sheet.header) - 1}
+    text = sheet.body.rstrip("\r\n")
+    lines, width = text.split("\n"), len(sheet.header)
+    alike = {line.count(sheet.separator) for line in lines} == {width - 1}
     if not alike or '"' in text or "#" in text:
         return None
     commas = sheet.separator != "," and text.count(",") > text.count(".")
     plain = [line.translate(_DECIMAL_COMMAS) for line in lines] if commas else lines
-    columns = [place for place, name in enumerate(sheet.header) if name in numbers]
+    found = sheet.line + np.arange(len(lines), dtype=np.int64)
 
-    def cells(rows: list[str], kind: type, wanted: list[int]) -> NDArray[Any]:
-        return np.loadtxt(rows, kind, None, sheet.separator, usecols=wanted, ndmin=2, quotechar=None)
+    def columns(rows: list[str], kind: type, wanted: set[str]) -> dict[str, NDArray[Any]]:
+        places = [place for place, name in enumerate(sheet.header) if name in wanted]
+        read: NDArray[Any] = np.loadtxt(
+            rows, kind, None, sheet.separator, usecols=places, ndmin=2, quotechar=None
+        )
+        if len(read) != len(rows):
+            raise ValueError("a return within a row")
+        return {sheet.header[place]: column for place, column in zip(places, read.T, strict=True)}
 
     try:
-        found = cells(plain, float, columns)
-        listed = sorted(texts)
-        words: Iterable[NDArray[Any]] = (
-            cells(lines, str, [sheet.header.index(name) for name in listed]).T if listed else []
-        )
+        values = columns(plain, float, numbers) if numbers else {}
+        words = columns(lines, str, texts) if texts else {}
     except ValueError:
         return None
-    if len(found) != len(lines):  # a return within a row
-        return None
-    values = {sheet.header[place]: found[:, k] for k, place in enumerate(columns)}
-    encoded = {name: _encode(column) for name, column in zip(listed, words, strict=True)}
-    return Table(sheet.file, values, encoded, sheet.line + np.arange(len(lines), dtype=np.int64))
-
-
-def _encode(column: NDArray[Any]) -> TextColumn:
-    """Store every text once, without blanks around it; rows of one text mostly follow each other."""
-    begins = np.flatnonzero(np.concatenate([column[:1] == column[:1], column[1:] != column[:-1]]))
-    places: dict[str, int] = {"": -1}
-    codes = [places.setdefault(text.strip(), len(places) - 1) for text in column[begins].tolist()]
-    del places[""]
-    length = np.diff(begins, append=len(column))
-    return TextColumn(np.repeat(np.array(codes, dtype=np.intp), length), tuple(places))
+    return Table(sheet.file, values, {name: _encode(words[name].tolist()) for name in words}, found)
 
 
 def _read_cells(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table:
     """Read every row cell by cell; blank lines and comments are passed over."""
-    text = io.StringIO(sheet.body.decode("utf-8"), newline="")
-    rows = csv.reader(text, delimiter=sheet.separator, skipinitialspace=True)
-    width, below = len(sheet.header), sheet.line
-    kept: list[list[str]] = []
-    lines: list[int] = []
-    left_out: list[int] = []
-    faults: list[Fault] = []
+    rows = csv.reader(io.StringIO(sheet.body, newline=""), delimiter=sheet.separator, skipinitialspace=True)
+    width, below, faults = len(sheet.header), sheet.line, list[Fault]()
+    kept, lines, left_out = list[list[str]](), list[int](), list[int]()
     while True:
         line = below
         try:
@@ -253,22 +228,21 @@ def _read_cells(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table:
         except StopIteration:
             break
         except csv.Error as error:
-            where = Place(sheet.file, "line", (line,))
-            faults.append(Fault("a row", "text that can be split into cells", error, where, "Correct it"))
+            want = "text that can be split into cells"
+            faults.append(Fault("a row", want, error, sheet.where(line), "Correct it"))
             break
         below = sheet.line + rows.line_num
         cells = [cell.strip() for cell in row]
-        if not any(cells) or cells[0].startswith("#"):
+        if not "".join(cells).strip(",;") or cells[0].startswith("#"):
             left_out += [line] if len(cells) >= width > 1 else []
-            continue
-        if len(cells) < width or any(cells[width:]):
+        elif len(cells) < width or any(cells[width:]):
             faults.append(_length_fault(sheet, line, below - line, cells))
         else:
             kept.append(cells)
             lines.append(line)
     columns = {name: [row[sheet.header.index(name)] for row in kept] for name in (*numbers, *texts)}
-    comma, point = (sum(mark in cell for name in numbers for cell in columns[name]) for mark in ",.")
-    commas, values = sheet.separator != "," and comma > point, {}
+    joined = "".join(cell for name in numbers for cell in columns[name])
+    commas, values = sheet.separator != "," and joined.count(",") > joined.count("."), {}
     for name in sorted(numbers, key=sheet.header.index):
         values[name] = np.full(len(kept), np.nan)
         for place, cell in enumerate(columns[name]):
@@ -277,11 +251,19 @@ def _read_cells(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table:
                 values[name][place] = float(plain)
             elif not _MISSING.fullmatch(cell):
                 shown = "".join(letter if letter.isprintable() else "?" for letter in cell)
-                where = Place(sheet.file, "line", (lines[place],))
+                where = sheet.where(lines[place])
                 faults.append(Fault(name, "a number", f'"{shown}"', where, _hint(cell, commas)))
     faults.sort(key=lambda fault: fault.where.numbers[0] if isinstance(fault.where, Place) else 0)
-    words = {name: _encode(np.array(columns[name], dtype=object)) for name in texts}
+    words = {name: _encode(columns[name]) for name in texts}
     return Table(sheet.file, values, words, np.array(lines, dtype=np.int64), tuple(faults), tuple(left_out))
+
+
+def _encode(cells: Sequence[str]) -> TextColumn:
+    """Store every text once, without blanks around it."""
+    places = {"": -1}
+    codes = {cell: places.setdefault(cell.strip(), len(places) - 1) for cell in dict.fromkeys(cells)}
+    del places[""]
+    return TextColumn(np.array([codes[cell] for cell in cells], dtype=np.intp), tuple(places))
 
 
 def _hint(cell: str, commas: bool) -> str:
@@ -304,5 +286,4 @@ def _length_fault(sheet: _Sheet, line: int, height: int, cells: Sequence[str]) -
         step = "Close the quotation mark that the row opens"
     elif sheet.separator == "," and got > width:
         step = "Decimal commas need semicolons between the columns"
-    where = Place(sheet.file, "line", (line,))
-    return Fault("a row", f"{width} cells long, as the header is", got, where, step)
+    return Fault("a row", f"{width} cells long, as the header is", got, sheet.where(line), step)

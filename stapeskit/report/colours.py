@@ -44,8 +44,6 @@ MEASURED, FITTED = "#1d2733", "#c81e3a"
 def colour_of(body: str, bodies: Sequence[str] = ()) -> str:
     """Return the colour of a body by its name, else by its place among ``bodies``.
 
-    Examples
-    --------
     >>> colour_of("stapes"), colour_of("malleus", ("stapes", "malleus", "incus"))
     ('#b06f12', '#7a4fa3')
     """
@@ -58,8 +56,6 @@ def colour_of(body: str, bodies: Sequence[str] = ()) -> str:
 def lighten(colour: str, share: float = 0.45) -> str:
     """Return a colour mixed with a share of white: for areas beside lines of the colour itself.
 
-    Examples
-    --------
     >>> lighten("#800000", 0.5)
     '#c08080'
     """

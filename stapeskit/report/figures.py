@@ -9,7 +9,6 @@ import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -73,19 +72,10 @@ def style() -> Iterator[None]:
     """Draw in the style of this project, whatever the user's settings are: also as decorator ``@style()``."""
     import matplotlib
 
-    now = matplotlib.rcParams
-    with matplotlib.rc_context({key: value for key, value in _settings().items() if now[key] != value}):
+    kept = {"backend", "backend_fallback", "interactive", "toolbar", "timezone", "date.epoch"}
+    now, wanted = matplotlib.rcParams, dict[Any, Any](matplotlib.rcParamsDefault) | dict(_STYLE)
+    with matplotlib.rc_context({k: v for k, v in wanted.items() if k not in kept and now[k] != v}):
         yield
-
-
-@cache
-def _settings() -> dict[Any, Any]:
-    """Return every setting of matplotlib: its own defaults with the style of this project."""
-    import matplotlib
-
-    left = {"backend", "backend_fallback", "interactive", "toolbar", "timezone", "date.epoch"}
-    defaults = {key: value for key, value in matplotlib.rcParamsDefault.items() if key not in left}
-    return {**defaults, **_STYLE}
 
 
 def panels(
@@ -100,16 +90,9 @@ def panels(
 ) -> tuple[Figure, NDArray[Any]]:
     """Return a figure and its axes (rows, columns), laid out by fixed margins; use it within `style`.
 
-    Fixed margins cost nothing; matplotlib's layout engines draw the figure twice.
-
-    Parameters
-    ----------
-    width, height : float
-        Of the figure, and of one row of panels with its gap, inches.
-    margins, gaps : tuple of float
-        Left, right, top, bottom; between columns (room for the labels along y) and rows; inches.
-    share_x : bool
-        Only the lowest row has labels along x, and all have one range.
+    Fixed margins cost nothing; matplotlib's layout engines draw the figure twice. All lengths are inches:
+    the height of one row with its gap, margins left, right, top, bottom, gaps between columns (room for the
+    labels along y) and rows. With ``share_x`` only the lowest row has labels along x.
     """
     from stapeskit.report.shown_figure import ShownFigure
 
@@ -177,7 +160,7 @@ def frequency_axis(axes: Axes, freq_hz: Array, *, label: bool = True) -> None:
     low, high = float(freq_hz[0]) / 1e3, float(freq_hz[-1]) / 1e3
     if log_spaced(freq_hz):
         axes.set_xscale("log")
-        _plain_ticks(axes.xaxis, low, high, (1.0, 2.0, 5.0) if high < 30.0 * low else (1.0,))
+        _plain_ticks(axes.xaxis, (1.0, 2.0, 5.0) if high < 30.0 * low else (1.0,))
     if low < high:
         axes.set_xlim(low, high)
 
@@ -189,21 +172,15 @@ def amplitude_axis(axes: Axes, low: float, high: float) -> None:
     axes.set_yscale("log")
     decades = np.log10(high / low)
     steps = (1.0, 2.0, 5.0) if decades < 1.7 else (1.0, 3.0) if decades < 2.7 else (1.0,)
-    _plain_ticks(axes.yaxis, low, high, steps)
+    _plain_ticks(axes.yaxis, steps)
     axes.set_ylim(low / 10.0 ** (0.04 * decades), high * 10.0 ** (0.06 * decades))
 
 
-def _plain_ticks(axis: Axis, low: float, high: float, steps: Sequence[float]) -> None:
-    """Write plain numbers at some steps of each decade; some are left out where seven do not suffice."""
-    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+def _plain_ticks(axis: Axis, steps: Sequence[float]) -> None:
+    """Write plain numbers at some steps of each decade."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-    powers = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
-    ticks: list[float] = []
-    for some in (steps, (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)):
-        every = np.outer(powers, some).ravel()
-        ticks = ticks if len(ticks) > 1 else every[(every >= low) & (every <= high)].tolist()
-    ticks = ticks[:: 1 + len(ticks) // 7]
-    axis.set_major_locator(FixedLocator(ticks if len(ticks) > 1 else [low, high]))
+    axis.set_major_locator(LogLocator(subs=steps, numticks=8))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.4g}"))
 
@@ -237,8 +214,6 @@ def decimate_lines(size: Array, most: int = 400) -> Indices:
 def dof_unit(name: str, per_reference: str = "") -> tuple[float, str]:
     """Return factor from SI and unit in which a degree of freedom is drawn.
 
-    Examples
-    --------
     >>> dof_unit("y"), dof_unit("gamma", "base:y")
     ((1000000000.0, 'nm'), (1.0, 'rad/m'))
     """
@@ -257,8 +232,6 @@ def plain(name: str) -> str:
 def shorten_name(name: str, most: int = 16) -> str:
     """Return a name of at most ``most`` letters: its beginning and its end.
 
-    Examples
-    --------
     >>> shorten_name("head", 8), shorten_name("measurement point 12", 9)
     ('head', 'meas…t 12')
     """

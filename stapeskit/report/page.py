@@ -4,8 +4,6 @@ A `Page` has a title, a first screen, sections and a folded appendix; it loads n
 can be read without its scripts. Each block is made by the macro of the same name in ``page.html.j2``; every
 text is escaped.
 
-Examples
---------
 >>> from stapeskit.report import page
 >>> shown = page.Page("An ear").add(page.verdict("believe", "no warning speaks against it"))
 >>> section = shown.section("Stiffness K", page.matrix(("y",), [[1735.0]], [[19.0]]))
@@ -20,7 +18,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -42,10 +40,8 @@ if TYPE_CHECKING:
     from stapeskit.report.scene3d import Scene
 
 _HERE = Path(__file__).parent
-# Tables of so few rows are not broken between two printed pages.
-_FEW_ROWS = 14
-# Matrices up to this size show the interval of each entry.
-_MOST_WITH_INTERVALS = 3
+_FEW_ROWS = 14  # tables up to it are not broken between two printed pages
+_MOST_WITH_INTERVALS = 3  # matrices up to this size show the interval of each entry
 PLUS_MINUS = (
     "± is one standard deviation, the line below it the 95 % interval, by all known sources of error; grey "
     "where it holds zero."
@@ -72,14 +68,8 @@ class Section:
 class Page:
     """A page under construction.
 
-    Attributes
-    ----------
-    title, lead : str
-        Heading, and a sentence below it.
-    first : list of Markup
-        The first screen: verdict, summary, key matrices, a figure.
-    sections, appendix : list of Section
-        What follows, and what few readers open.
+    A ``lead`` is a sentence below the title; ``first`` the first screen: verdict, summary, key matrices, a
+    figure; ``sections`` follow, and the ``appendix``, which few readers open.
     """
 
     title: str
@@ -111,8 +101,7 @@ class Page:
         """Return the whole page."""
         from markupsafe import Markup
 
-        parts = (self.title, self.lead, self.first, self.sections, self.appendix)
-        body = render("body", *parts)
+        body = render("body", self.title, self.lead, self.first, self.sections, self.appendix)
         scripts = [render("script")]
         if "data-scene" in body:
             scripts.append(Markup((_HERE / "viewer.js").read_text(encoding="utf-8")))
@@ -139,34 +128,18 @@ def render(macro: str, *values: Any) -> Markup:
     return block
 
 
-def text(sentence: str) -> Markup:
-    """Return a paragraph."""
-    return render("text", sentence)
-
-
-def code(words: str) -> Markup:
-    """Return lines to copy."""
-    return render("code", words)
-
-
-def note(words: str) -> Markup:
-    """Return a paragraph in small print: what the numbers below it mean."""
-    return render("note", words)
-
-
-def subheading(words: str) -> Markup:
-    """Return a small heading within a section."""
-    return render("subheading", words)
-
-
-def beside(*blocks: Markup) -> Markup:
-    """Return blocks next to each other where the window is wide enough."""
-    return render("beside", blocks)
-
-
-def folded(summary: str, *blocks: Markup) -> Markup:
-    """Return blocks below one line that opens them."""
-    return render("folded", summary, blocks)
+text = partial(render, "text")
+"""A paragraph."""
+code = partial(render, "code")
+"""Lines to copy."""
+note = partial(render, "note")
+"""A paragraph in small print: what the numbers below it mean."""
+subheading = partial(render, "subheading")
+"""A small heading within a section."""
+beside = partial(render, "beside")
+"""Blocks next to each other where the window is wide enough."""
+folded = partial(render, "folded")
+"""One line, and the blocks that it opens."""
 
 
 def table(
@@ -178,16 +151,9 @@ def table(
     words: bool = False,
     names: int = 1,
 ) -> Markup:
-    """Return a table.
+    """Return a table of cells: `Quantity`, numbers, text, or other blocks.
 
-    Parameters
-    ----------
-    rows : iterable of sequence
-        Cells: `Quantity`, numbers, text, or other blocks.
-    words : bool
-        Align all columns to the left and let text wrap.
-    names : int
-        Columns of names, aligned to the left.
+    The first ``names`` columns are aligned to the left; with ``words`` all are, and their text wraps.
     """
     shown = [[_cell(cell) for cell in row] for row in rows]
     return render("table", title, list(head), shown, words, names, len(shown) <= _FEW_ROWS, caption)
@@ -214,14 +180,10 @@ def matrix(
 
     Parameters
     ----------
-    names : sequence of str, (n,)
-        Degrees of freedom.
     values_si, sd_si : array_like, (n, n)
         Entries and standard deviations, SI; NaN or None where one is not known.
     units : nested sequence of ShownUnit, (n, n), optional
         Unit in which each entry is shown, of `quantities.matrix_units`.
-    caption : str
-        What it is, about which point, in which axes.
     """
     size = len(names)
     values = np.asarray(values_si, dtype=float).tolist()
@@ -294,13 +256,9 @@ def notices(found: Iterable[Notice], confirmed: Sequence[str] = ()) -> Markup:
 
 
 def verdict(level: str, sentence: str, reasons: Iterable[Notice] = ()) -> Markup:
-    """Return the verdict on a result.
+    """Return the verdict on a result, with its reasons by weight.
 
-    Parameters
-    ----------
-    level : {"believe", "check", "do not use"}
-    reasons : iterable of Notice
-        By weight; of each the first sentence is shown, and the rest when the reader opens it.
+    Of each reason the first sentence is shown, and the rest when the reader opens it.
     """
     listed = []
     for reason in reasons:

@@ -15,21 +15,13 @@ from numpy.typing import NDArray
 
 Value = TypeVar("Value", float, NDArray[np.float64])
 
-# Half the width of a 95 % interval of the normal distribution, in standard deviations.
-HALF_WIDTH_95 = 1.959964
+HALF_WIDTH_95 = 1.959964  # standard deviations of the normal distribution
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def plus_minus(value: float, sd: float | None) -> str:
-    """Write a value with its standard deviation, both to the second digit of the latter.
+    """Write a value with its standard deviation, both to its second digit; one that is not finite is unknown.
 
-    Parameters
-    ----------
-    sd : float, optional
-        None, NaN or infinite: unknown.
-
-    Examples
-    --------
     >>> plus_minus(1736.4, 17.2), plus_minus(13379, 2762), plus_minus(3.0531e-08, 7.2e-10)
     ('1736 ± 17', '13400 ± 2800', '(3.053 ± 0.072)·10⁻⁸')
     >>> plus_minus(-1e-5, 0.014), plus_minus(float("nan"), 1.0)
@@ -50,8 +42,6 @@ def plus_minus(value: float, sd: float | None) -> str:
 def interval_text(lower: float, upper: float) -> str:
     """Write the limits of a 95 % interval to the second digit of the standard deviation it comes from.
 
-    Examples
-    --------
     >>> interval_text(1702.7, 1770.1), interval_text(-2.1e-7, 3.3e-7)
     ('1703 to 1770', '-2.1e-07 to 3.3e-07')
     """
@@ -95,8 +85,6 @@ class ShownUnit:
     def with_sd(self, value: float, sd: float | None) -> str:
         """Return an SI value with its standard deviation and the symbol.
 
-        Examples
-        --------
         >>> LENGTH.with_sd(2.71828e-3, 3e-5), LENGTH.text(2.71828e-3, ".3f"), SMALL_LENGTH.text(4.2e-6)
         ('2.718 ± 0.030 mm', '2.718 mm', '4.2 µm')
         """
@@ -142,8 +130,6 @@ class Quantity:
     def __str__(self) -> str:
         """Return value, sd and unit.
 
-        Examples
-        --------
         >>> str(Quantity(900.0, 950.0, HERTZ, positive=True)), str(Quantity(2.5e-3, None, LENGTH))
         ('undetermined (900 ± 950 Hz)', '2.5 mm')
         """
@@ -166,7 +152,7 @@ class Quantity:
     def limits(self) -> tuple[float, float] | None:
         """Limits of the 95 % interval in the shown unit; None without one, and where it is undetermined."""
         ends, value = self.interval_95, self.value
-        if ends is None and self.sd is not None and math.isfinite(self.sd) and not self.undetermined:
+        if ends is None and self.sd is not None and self.known_sd and not self.undetermined:
             ends = value - HALF_WIDTH_95 * self.sd, value + HALF_WIDTH_95 * self.sd
             if self.positive and value > 0.0:
                 ratio = math.exp(HALF_WIDTH_95 * self.sd / value)
@@ -177,8 +163,6 @@ class Quantity:
     def interval(self) -> str:
         """The 95 % interval as text, empty without a standard deviation.
 
-        Examples
-        --------
         >>> Quantity(1736.4, 17.2, STIFFNESS).interval
         '1703 to 1770'
         """
@@ -188,8 +172,6 @@ class Quantity:
 def si_unit(letter: str, first: str, second: str, exponent: float | None = 1.0) -> str:
     """Return the SI unit of an entry of K or D between two degrees of freedom, as text.
 
-    Examples
-    --------
     >>> si_unit("K", "y", "y"), si_unit("D", "y", "alpha"), si_unit("D", "alpha", "alpha")
     ('N/m', 'N s', 'N s m/rad')
     """
@@ -205,14 +187,9 @@ def diagonal_unit(letter: str, dof: str, exponent: float | None = 1.0) -> ShownU
 def matrix_units(letter: str, dof: Sequence[str], exponent: float | None = 1.0) -> list[list[ShownUnit]]:
     """Return the unit in which each entry of K, D or M is shown, (n, n).
 
-    Parameters
-    ----------
-    letter : {"K", "D", "M"}
-    exponent : float or None
-        Power of time in the unit of D, of the damping law; None where it differs between ears.
+    ``exponent`` is the power of time in the unit of D, of the damping law; None where it differs between
+    ears.
 
-    Examples
-    --------
     >>> [unit.symbol for unit in matrix_units("D", ("y", "alpha"))[1]]
     ['µN s', 'µN mm s/rad']
     >>> [diagonal_unit(*entry).symbol for entry in (("K", "y"), ("D", "gamma"), ("D", "y", 0.5))]

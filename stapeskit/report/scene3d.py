@@ -27,16 +27,10 @@ _STEPS = 32_000
 
 @dataclass(frozen=True)
 class Mesh:
-    """A surface of vertices (n, 3), mm, and outward triangles (m, 3).
+    """A surface of vertices (n, 3), mm, and outward triangles (m, 3), decimated to ``most_faces``.
 
-    Attributes
-    ----------
-    name : str
-        Also of the checkbox that hides it, and of the body that it moves with unless ``body`` is given.
-    colour, opacity
-        ``#rrggbb``, of `colours.BODY_COLOURS`, drawn lighter, as areas are; 1 is solid.
-    most_faces : int
-        Triangles to which it is decimated: enough for a screen, few enough for a page.
+    ``name`` is also that of its checkbox, and of the body that it moves with unless ``body`` is given; the
+    ``colour`` (``#rrggbb``, of `colours.BODY_COLOURS`) is drawn lighter, as areas are.
     """
 
     name: str
@@ -45,7 +39,7 @@ class Mesh:
     colour: str
     opacity: float = 1.0
     body: str | None = None
-    most_faces: int = 6000
+    most_faces: int = 6000  # enough for a screen, few enough for a page
 
 
 @dataclass(frozen=True)
@@ -78,20 +72,17 @@ class Line:
 
 @dataclass(frozen=True)
 class Motion:
-    """A harmonic motion of rigid bodies, played enlarged.
+    """A harmonic motion of rigid bodies, played enlarged; its name is that of its button.
 
     Attributes
     ----------
-    name : str
-        Of its button.
     amplitudes : ndarray, (6,) or (lines, 6), complex; or mapping of body to such an array
-        x, y, z in m, alpha, beta, gamma in rad, about the origin and along the axes of the scene; without
-        bodies it is the motion of ``stapes``. The displacement is the real part of amplitude times
-        exp(+i omega t).
+        x, y, z in m, alpha, beta, gamma in rad, about the origin and along the axes of the scene, in
+        e^{+i w t}; without bodies it is the motion of ``stapes``.
     frequency_hz : float or ndarray, (lines,)
         With several lines the viewer has a slider for them.
     measured : bool
-        Whether amplitudes are lengths and not only a shape; the viewer then says how much it enlarges them.
+        Amplitudes are lengths and not only a shape: the viewer says how much it enlarges them.
     """
 
     name: str
@@ -111,8 +102,7 @@ class Motion:
             "measured": self.measured,
             "start": int(np.argmax(size)),
             "bodies": {
-                name: _packed(np.hstack([value.real, value.imag]).astype("<f4"))
-                for name, value in parts.items()
+                name: _packed(np.hstack([value.real, value.imag]), "<f4") for name, value in parts.items()
             },
         }
 
@@ -121,13 +111,9 @@ class Motion:
 class Scene:
     """What a viewer shows.
 
-    Attributes
-    ----------
-    axes : RigidTransform, optional
-        From the frame whose axes are drawn (and in which motions are given) to the frame of surfaces, points
-        and lines, such as ``scan_from_footplate``; None where they are the same frame.
-    directions : tuple of str
-        What x, y and z point to; empty where it is not known.
+    ``axes`` leads from the frame whose axes are drawn (and in which motions are given) to the frame of
+    surfaces, points and lines, such as ``scan_from_footplate``; None where they are the same frame.
+    ``directions`` are what x, y and z point to; empty where it is not known.
     """
 
     surfaces: Sequence[Mesh] = ()
@@ -154,16 +140,7 @@ class Scene:
         low, high = self._span()
         data = {
             "meshes": [self._mesh(mesh) for mesh in self.surfaces if len(mesh.faces)],
-            "points": [
-                {
-                    "name": point.name,
-                    "body": point.body,
-                    "verdict": point.verdict,
-                    "colour": VERDICT_COLOURS.get(point.verdict, PAGE_COLOURS["do-not-use"]),
-                    "at": self._placed(point.position_mm).tolist(),
-                }
-                for point in self.points
-            ],
+            "points": [self._point(point) for point in self.points],
             "lines": [*self._axes(), *(_drawn(line, self._placed(line.points_mm)) for line in self.lines)],
             "motions": [motion.content() for motion in self.motions],
             "middle": (0.5 * (low + high)).tolist(),
@@ -192,6 +169,11 @@ class Scene:
         size = float(np.max(high[0] - low[0]))
         return np.maximum(low.min(axis=0), low[0] - size), np.minimum(high.max(axis=0), high[0] + size)
 
+    def _point(self, point: Point) -> dict[str, Any]:
+        colour = VERDICT_COLOURS.get(point.verdict, PAGE_COLOURS["do-not-use"])
+        known = {"name": point.name, "body": point.body, "verdict": point.verdict, "colour": colour}
+        return known | {"at": self._placed(point.position_mm).tolist()}
+
     def _mesh(self, mesh: Mesh) -> dict[str, Any]:
         vertices, faces = decimate(mesh.vertices_mm, mesh.faces, mesh.most_faces)
         vertices = self._placed(vertices)
@@ -204,8 +186,8 @@ class Scene:
             "opacity": mesh.opacity,
             "low": low.tolist(),
             "step": step,
-            "vertices": _packed(np.round((vertices - low) / step).astype("<i2")),
-            "faces": _packed(faces.astype("<u2")),
+            "vertices": _packed(np.round((vertices - low) / step), "<i2"),
+            "faces": _packed(faces, "<u2"),
         }
 
     def _axes(self) -> list[dict[str, Any]]:
@@ -224,15 +206,8 @@ def _drawn(line: Line, points_mm: Array) -> dict[str, Any]:
 
 
 def decimate(vertices_mm: ArrayLike, faces: ArrayLike, most: int) -> tuple[Array, Faces]:
-    """Return a surface of about ``most`` triangles, for the eye: it may have small holes.
+    """Return a surface (n, 3), (m, 3) of about ``most`` triangles, for the eye: it may have small holes.
 
-    Parameters
-    ----------
-    vertices_mm : array_like, (n, 3)
-    faces : array_like, (m, 3), int
-
-    Notes
-    -----
     The corners in each cell of a grid become the one that is nearest to the planes of their triangles
     (Lindstrom 2000, doi:10.1145/344779.344912).
     """
@@ -253,6 +228,6 @@ def decimate(vertices_mm: ArrayLike, faces: ArrayLike, most: int) -> tuple[Array
     return arrays_of(clusters.GetOutput())
 
 
-def _packed(values: NDArray[Any]) -> str:
-    """Return the bytes of an array as text."""
-    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
+def _packed(values: NDArray[Any], kind: str) -> str:
+    """Return the bytes of an array of another type as text."""
+    return base64.b64encode(values.astype(kind).tobytes()).decode()

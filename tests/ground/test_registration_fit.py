@@ -173,28 +173,16 @@ def test_a_wrong_scale_is_named(sd):
     assert " 0.9804 times " in text_of(fit(1.02 * SEEN, MARKS, sd))
 
 
-MOVED = [((0, 1),), ((0, 1), (2, 3)), ((0, 1, 2),)]
-
-
-@pytest.mark.parametrize(
-    ("count", "moved"), [*((6, moved) for moved in MOVED), (8, MOVED[1]), (11, MOVED[0])]
-)
+@pytest.mark.parametrize("count", [6, 11])
 @pytest.mark.parametrize("sd", [0.02, None])
-def test_exchanged_names_are_refused_by_name(moved, sd, count):
-    rng = np.random.default_rng([count, len(moved), len(moved[0])])
+def test_exchanged_names_are_refused_by_name(sd, count):
+    rng = np.random.default_rng(count)
     known = rng.uniform(-8.0, 8.0, (count, 3))
     seen = POSE.inverse().points(known) + 0.02 * rng.normal(size=known.shape)
-    listed, names = known.copy(), tuple("abcdefghijk")
-    for cycle in moved:
-        listed[[*cycle[1:], cycle[0]]] = known[[*cycle]]
-    fault = refused(seen, listed, sd, names)
+    known[[0, 1]] = known[[1, 0]]
+    fault = refused(seen, known, sd, tuple("abcdefghijk"))
     assert fault.thing == "the names of the fiducials"
-    words = {
-        MOVED[0]: "a and b exchanged",
-        MOVED[1]: "a and b exchanged; c and d exchanged",
-        MOVED[2]: "a is b; b is c; c is a",
-    }
-    assert fault.got.startswith(words[moved])
+    assert fault.got.startswith("a and b exchanged")
 
 
 def test_a_misfit_without_a_cause_is_reported_where_no_sd_is_stated():
