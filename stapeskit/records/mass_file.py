@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -38,24 +38,17 @@ def mass_json(
     provenance: Mapping[str, Any] | None = None,
     further: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Return the content of ``mass.json``.
+    """Return the content of ``mass.json``, of a record whose ``raw`` is not used.
 
-    Parameters
-    ----------
-    record : MassRecord
-        Its ``raw`` is not used.
-    provenance : mapping
-        Block of `stapeskit.provenance.record`.
-    further : mapping
-        What does not follow from the record: ``uncertainty``, ``found``, ``{"frames": {"side": ...}}``. It
-        cannot replace what follows.
+    ``further`` is what does not follow from the record: ``uncertainty``, ``found``, ``{"frames": {"side":
+    ...}}``. It cannot replace what follows.
 
     Raises
     ------
     StapeskitError
         The content is not one that `mass_record` accepts.
     """
-    mass, plate = record.mass_matrix, record.scan_from_plate
+    mass, plate, covariance = record.mass_matrix, record.scan_from_plate, record.plate_covariance
     values = {
         "schema": SCHEMA,
         "density_kg_m3": record.density_kg_m3,
@@ -66,15 +59,18 @@ def mass_json(
         "inertial_parameters.contributions_si": mass.contributions,
         "frames.scan_from_footplate": record.scan_from_footplate.matrix,
         "frames.scan_from_plate": None if plate is None else plate.matrix,
-        f"{_POSE}footplate.matrix_si": record.footplate_covariance,
         "warnings": [notice.as_json() for notice in record.notices],
         "provenance": provenance or {},
     }
+    poses = {"footplate": record.footplate_covariance}
     if plate is None:
         values |= dict.fromkeys(("frames.plate_from_footplate", "mass_matrix_plate_axes", f"{_POSE}plate"))
     else:
-        covariance = record.plate_covariance
-        values[f"{_POSE}plate.matrix_si"] = np.zeros((6, 6)) if covariance is None else covariance
+        poses["plate"] = np.zeros((6, 6)) if covariance is None else covariance
+    for name, matrix in poses.items():
+        values[f"{_POSE}{name}.matrix_si"] = matrix
+        words = f"displacement of the {name} frame in its own axes, m and rad"
+        values[f"{_POSE}{name}.convention"] = words
     content: dict[str, Any] = {}
     for path, value in values.items():
         *parents, key = path.split(".")
@@ -116,13 +112,7 @@ MassInput = str | os.PathLike[str] | MassRecord | HasMass
 
 
 def read_mass(source: MassInput) -> MassRecord:
-    """Return the mass that a path, a record or a result gives.
-
-    Raises
-    ------
-    StapeskitError
-        The file is not what ct2mass writes; see `read_mass_json`.
-    """
+    """Return the mass that a path, a record or a result gives; of a file see `read_mass_json`."""
     if isinstance(source, MassRecord):
         return source
     return source.mass_record() if isinstance(source, HasMass) else read_mass_json(Path(source))
@@ -138,21 +128,22 @@ def mass_record(raw: Mapping[str, Any], name: str = "mass.json") -> MassRecord:
     """
     if raw.get("schema") != SCHEMA:
         raise StapeskitError.of("schema", f'"{SCHEMA}"', raw.get("schema"), name, MADE_BY)
-    file = Reader(raw, name)
-    record = _record(file)
+    file = _Reader(raw, name)
+    record = file.record()
     if record is None:
         raise StapeskitError(*file.faults)
-    _compare(file, record)
+    file.compare(record)
     raise_all(file.faults)
     return record
 
 
-class Reader:
-    """Reads values out of a ``mass.json`` while the faults are collected."""
+@dataclass(frozen=True)
+class _Reader:
+    """Reads values out of a ``mass.json`` by dotted keys while the faults are collected."""
 
-    def __init__(self, raw: Mapping[str, Any], name: str) -> None:
-        self.raw, self.name = raw, name
-        self.faults: list[Fault] = []
+    raw: Mapping[str, Any]
+    name: str
+    faults: list[Fault] = field(default_factory=list)
 
     def fault(self, thing: str, expected: str, got: object) -> None:
         """Add one fault, its value cut to what a line of a message holds."""
@@ -166,47 +157,118 @@ class Reader:
         found: list[Fault] = []
         with collect_faults(found):
             yield
-        self.faults += [replace(one, where=self.name, next_step=one.next_step or MADE_BY) for one in found]
+        self.faults.extend(replace(one, where=self.name, next_step=one.next_step or MADE_BY) for one in found)
 
-    def object(self, *path: str) -> Mapping[str, Any]:
-        """Return the object at a path of keys; empty when it is missing, or no object, which is a fault."""
-        value = self.get(*path) if path else self.raw
-        if value is not None and not isinstance(value, Mapping):
-            self.fault(".".join(path), "an object", value)
-        return value if isinstance(value, Mapping) else {}
-
-    def get(self, *path: str) -> Any:
+    def get(self, path: str) -> Any:
         """Return the value at a path of keys; None where there is none."""
-        return self.object(*path[:-1]).get(path[-1])
+        value: Any = self.raw
+        for key in path.split("."):
+            value = value.get(key) if isinstance(value, Mapping) else None
+        return value
 
-    def numbers(self, *path: str, shape: tuple[int, ...] = (), optional: bool = False) -> Array | None:
+    def numbers(self, path: str, shape: tuple[int, ...] = (), optional: bool = False) -> Array | None:
         """Return finite numbers of one shape, or None: with a fault noted unless they are optional."""
-        value, thing = self.get(*path), ".".join(path)
-        if value is None:
-            if not optional:
-                self.fault(thing, "given", "none")
-            return None
-        array = _array(value)
-        if array is None or array.shape != shape or not np.all(np.isfinite(array)):
-            self.fault(thing, f"finite numbers of shape {shape}" if shape else "a finite number", value)
-            return None
-        return array
+        value = self.get(path)
+        return None if optional and value is None else self.array(path, value, shape)
 
-    def covariance(self, *path: str, scale: Array) -> Array | None:
+    def array(self, path: str, value: Any, shape: tuple[int, ...]) -> Array | None:
+        """Return a value as finite numbers of one shape, or None with a fault noted."""
+        array = _array(value)
+        if array is not None and array.shape == shape and np.all(np.isfinite(array)):
+            return array
+        self.fault(path, f"finite numbers of shape {shape}" if shape else "a finite number", value)
+        return None
+
+    def covariance(self, path: str, value: Any, scale: Array) -> Array | None:
         """Return a covariance that is symmetric and positive semidefinite, or None with a fault noted.
 
         ``scale`` is the natural size of each parameter; what is below its rounding is not judged.
         """
-        matrix = self.numbers(*path, shape=(len(scale), len(scale)))
+        matrix = self.array(path, value, (len(scale), len(scale)))
         if matrix is None:
             return None
         relative = matrix / _roots(matrix, scale)
         lowest = float(np.linalg.eigvalsh(0.5 * (relative + relative.T))[0])
         if np.max(np.abs(relative - relative.T)) > FLOOR or lowest < -FLOOR:
             got = f"a matrix that is asymmetric, or whose correlations have the eigenvalue {lowest:.3g}"
-            self.fault(".".join(path), "a covariance (symmetric, positive semidefinite)", got)
+            self.fault(path, "a covariance (symmetric, positive semidefinite)", got)
             return None
         return matrix
+
+    def record(self) -> MassRecord | None:
+        """Return what defines the body, or None where that is at fault."""
+        try:
+            notices = from_json(self.get("warnings") or ())
+        except (TypeError, KeyError):
+            self.fault("warnings", "a list of objects with code and text", self.get("warnings"))
+            notices = ()
+        (footplate, footplate_pose), (plate, plate_pose) = self.pose("footplate"), self.pose("plate")
+        sizes = [self.numbers(key, optional=True) for key in ("density_kg_m3", "volume_m3")]
+        mass = self.mass_matrix()
+        if mass is None or footplate is None:
+            return None
+        density, volume = (None if size is None else float(size) for size in sizes)
+        whole = float(mass.parameters[0])
+        bone_alone = not self.get("found.added_masses")
+        product = whole if density is None or volume is None or not bone_alone else density * volume
+        if abs(product / whole - 1.0) > _SAME_MASS or min(density or 1.0, volume or 1.0) < 0.0:
+            got = f"{product:g} kg against {whole:g} kg"
+            self.fault("density_kg_m3 times volume_m3", "the mass of inertial_parameters, both positive", got)
+        known = (density, volume, notices, dict(self.raw))
+        plate_covariance = None if plate is None else plate_pose
+        return MassRecord(mass, footplate, footplate_pose, plate, plate_covariance, *known)
+
+    def pose(self, name: str) -> tuple[RigidTransform | None, Array]:
+        """Return a frame in the scan and the covariance of its displacement, zero when it is not stated."""
+        covariance, path = None, f"{_POSE}{name}.matrix_si"
+        if self.get(f"{_POSE}{name}") is not None:
+            covariance = self.covariance(path, self.get(path), _POSE_SCALE)
+        matrix = self.numbers(f"frames.scan_from_{name}", (4, 4), optional=name == "plate")
+        with self.collecting():
+            transform = None if matrix is None else RigidTransform(matrix, "scan", name)
+            return transform, np.zeros((6, 6)) if covariance is None else covariance
+        return None, np.zeros((6, 6))
+
+    def mass_matrix(self) -> MassMatrix | None:
+        """Return parameters and covariance, or None with faults noted."""
+        parameters = self.numbers("inertial_parameters.values_si", (10,))
+        if parameters is None:
+            return None
+        with self.collecting():
+            mass, tensor = central_tensor(MassMatrix(parameters).parameters)
+            length = float(np.sqrt(np.trace(tensor) / mass))
+            scale = mass * np.array([1.0, *[length] * 3, *[length**2] * 6])
+            whole, path = "inertial_parameters.covariance_si", "inertial_parameters.contributions_si"
+            total, given = self.covariance(whole, self.get(whole), scale), self.get(path) or {}
+            if not isinstance(given, Mapping):
+                self.fault(path, "an object", given)
+                return None
+            parts = {name: self.covariance(f"{path}.{name}", part, scale) for name, part in given.items()}
+            sound = {name: part for name, part in parts.items() if part is not None}
+            if total is None or len(sound) < len(parts):
+                return None
+            if sound and np.max(np.abs(sum(sound.values()) - total) / _roots(total, scale)) > FLOOR:
+                self.fault(whole, "the sum of contributions_si", "another matrix")
+            return MassMatrix(parameters, total, sound)
+        return None
+
+    def compare(self, record: MassRecord) -> None:
+        """Compare what the file states with what follows; some blocks may be left out whole."""
+        if record.scan_from_plate is None:
+            for path in ("mass_matrix_plate_axes", "frames.plate_from_footplate"):
+                if self.get(path) is not None:
+                    self.fault(path, "null in a file without frames.scan_from_plate", "a matrix")
+        for path, (value, scale) in statements(record).items():
+            block, stated = path.rpartition(".")[0], self.get(path)
+            if block in _OPTIONAL and self.get(block) in (None, {}):
+                continue
+            if scale is None:
+                if stated != value:
+                    self.fault(path, ", ".join(value) if isinstance(value, list) else f'"{value}"', stated)
+                continue
+            array = self.array(path, stated, np.shape(value))
+            if array is not None and np.max(np.abs(array - value) / scale) > SAME:
+                self.fault(path, "what inertial_parameters and frames give", array.tolist())
 
 
 def _array(value: Any) -> Array | None:
@@ -227,82 +289,3 @@ def _roots(covariance: Array, scale: Array) -> Array:
     """Return the products of the standard deviations, each at least the rounding of its parameter."""
     root = np.maximum(np.sqrt(np.abs(np.diag(covariance))), FLOOR * scale)
     return np.outer(root, root)
-
-
-def _record(file: Reader) -> MassRecord | None:
-    """Return what defines the body, or None where that is at fault."""
-    try:
-        notices = from_json(file.get("warnings") or ())
-    except (TypeError, KeyError):
-        file.fault("warnings", "a list of objects with code and text", file.get("warnings"))
-        notices = ()
-    poses = [_pose(file, name) for name in ("footplate", "plate")]
-    sizes = [file.numbers(key, optional=True) for key in ("density_kg_m3", "volume_m3")]
-    bone_alone = not file.get("found", "added_masses")
-    mass = _mass_matrix(file)
-    (footplate, footplate_pose), (plate, plate_pose) = poses
-    if mass is None or footplate is None:
-        return None
-    density, volume = (None if size is None else float(size) for size in sizes)
-    whole = float(mass.parameters[0])
-    product = whole if density is None or volume is None or not bone_alone else density * volume
-    if abs(product / whole - 1.0) > _SAME_MASS or min(density or 1.0, volume or 1.0) < 0.0:
-        got = f"{product:g} kg against {whole:g} kg"
-        file.fault("density_kg_m3 times volume_m3", "the mass of inertial_parameters, both positive", got)
-    known = (density, volume, notices, dict(file.raw))
-    return MassRecord(mass, footplate, footplate_pose, plate, None if plate is None else plate_pose, *known)
-
-
-def _pose(file: Reader, name: str) -> tuple[RigidTransform | None, Array]:
-    """Return a frame in the scan and the covariance of its displacement, zero when it is not stated."""
-    key, covariance = f"scan_from_{name}", None
-    path = ("frames", "pose_covariance", key)
-    if file.get(*path) is not None:
-        covariance = file.covariance(*path, "matrix_si", scale=_POSE_SCALE)
-    matrix = file.numbers("frames", key, shape=(4, 4), optional=name == "plate")
-    with file.collecting():
-        transform = None if matrix is None else RigidTransform(matrix, "scan", name)
-        return transform, np.zeros((6, 6)) if covariance is None else covariance
-    return None, np.zeros((6, 6))
-
-
-def _mass_matrix(file: Reader) -> MassMatrix | None:
-    """Return parameters and covariance, or None with faults noted."""
-    block, key = "inertial_parameters", "contributions_si"
-    parameters = file.numbers(block, "values_si", shape=(10,))
-    if parameters is None:
-        return None
-    with file.collecting():
-        mass, tensor = central_tensor(MassMatrix(parameters).parameters)
-        length = float(np.sqrt(np.trace(tensor) / mass))
-        scale = mass * np.array([1.0, *[length] * 3, *[length**2] * 6])
-        total = file.covariance(block, "covariance_si", scale=scale)
-        parts = {name: file.covariance(block, key, name, scale=scale) for name in file.object(block, key)}
-        sound = {name: part for name, part in parts.items() if part is not None}
-        if total is None or len(sound) < len(parts):
-            return None
-        if sound and np.max(np.abs(sum(sound.values()) - total) / _roots(total, scale)) > FLOOR:
-            file.fault(f"{block}.covariance_si", "the sum of contributions_si", "another matrix")
-        return MassMatrix(parameters, total, sound)
-    return None
-
-
-def _compare(file: Reader, record: MassRecord) -> None:
-    """Compare what the file states with what follows; two blocks of matrices may be left out whole."""
-    if record.scan_from_plate is None:
-        for path in (("mass_matrix_plate_axes",), ("frames", "plate_from_footplate")):
-            if file.get(*path) is not None:
-                file.fault(".".join(path), "null in a file without frames.scan_from_plate", "a matrix")
-    for thing, (value, scale) in statements(record).items():
-        keys = thing.split(".")
-        words_alone = thing.startswith(_POSE) and (keys[-1] == "convention" or file.get(*keys) is None)
-        absent = any(thing.startswith(block) and not file.object(*block.split(".")) for block in _OPTIONAL)
-        if words_alone or absent:
-            continue
-        if scale is None:
-            if (stated := file.get(*keys)) != value:
-                file.fault(thing, ", ".join(value) if isinstance(value, list) else f'"{value}"', stated)
-            continue
-        array = file.numbers(*keys, shape=np.shape(value))
-        if array is not None and np.max(np.abs(array - value) / scale) > SAME:
-            file.fault(thing, "what inertial_parameters and frames give", array.tolist())

@@ -50,17 +50,15 @@ def source_words(source: str) -> str:
 
 @dataclass(frozen=True, repr=False)
 class MassMatrix:
-    """Generalized mass matrix of a rigid body with its uncertainty by source.
+    """Generalized mass matrix of a rigid body about a point in some axes, with its uncertainty by source.
 
     Attributes
     ----------
     parameters : ndarray, (10,)
-        Inertial parameters about a point in some axes (kg, kg m, kg m2; PARAMETER_NAMES).
+        Inertial parameters (kg, kg m, kg m2; PARAMETER_NAMES).
     covariance, contributions : ndarray, (10, 10), and mapping of str to ndarray, (10, 10)
         SI: the sum of the contributions, and these by independent source; the source ``frame`` is what an
         error of the footplate frame itself adds. A covariance given alone has the source ``unspecified``.
-    about, axes : str
-        Reference point and axes.
 
     Raises
     ------
@@ -108,18 +106,8 @@ class MassMatrix:
     def moved(self, axes_from_here: Array, shift_m: Array, about: str, axes: str) -> MassMatrix:
         """Return the same body about another point and in other axes, uncertainty included.
 
-        Parameters
-        ----------
-        axes_from_here : ndarray, (3, 3)
-            Rotation from the present axes to the new ones.
-        shift_m : ndarray, (3,)
-            New reference point minus present one, in present axes, m.
-        about, axes : str
-            Their new names.
-
-        Notes
-        -----
-        M' = X^-T M X^-1 with q' = X q: kinetic energy does not depend on the frame.
+        ``shift_m`` is the new reference point minus the present one in present axes. M' = X^-T M X^-1 with
+        q' = X q: kinetic energy does not depend on the frame.
         """
         linear = parameter_transfer(axes_from_here, shift_m)
         parts = {name: linear @ part @ linear.T for name, part in self.contributions.items()}
@@ -142,12 +130,9 @@ def parameter_transfer(axes_from_here: Array, shift_m: Array) -> Array:
 def frame_derivative(parameters: Array) -> Array:
     """Return d(parameters)/d(frame displacement), (10, 6), per m and rad in the order of DOF_NAMES.
 
-    The displacement is that of the reference frame, in its own axes (RigidTransform.perturbed).
-
-    Notes
-    -----
-    M' = X^-T M X^-1 with q' = X q, so that dM = -(G^T M + M G) with G = dX: the derivative of
-    `twist_transfer` by its shift, and by its rotation, which is minus the rotation of the frame.
+    The displacement is that of the reference frame, in its own axes (RigidTransform.perturbed). With
+    M' = X^-T M X^-1 and q' = X q, dM = -(G^T M + M G), where G = dX is the derivative of `twist_transfer` by
+    its shift, and by its rotation, which is minus the rotation of the frame.
     """
     matrix, columns = matrix_from_parameters(parameters), []
     for axis in range(6):

@@ -26,6 +26,8 @@ REDUCED = ("y", "alpha", "gamma")
 Mesh = tuple[Array, NDArray[np.int64]]
 """Vertices (n, 3) in scan coordinates, mm, and faces (m, 3)."""
 
+_POSE = "frames.pose_covariance.scan_from_"
+
 # Relative differences by which redundant numbers of a file may round: seven digits pass, and less digits of
 # standard deviations, correlations and eigenvalues.
 SAME, FLOOR = 1e-6, 1e-5
@@ -39,20 +41,14 @@ class MassRecord:
     ----------
     mass_matrix : MassMatrix
         About the footplate centre, in footplate axes.
-    scan_from_footplate, scan_from_plate : RigidTransform
-        Poses in scan coordinates (mm); None when the scan holds no plate.
     footplate_covariance, plate_covariance : ndarray, (6, 6)
         Of the displacement of each frame in its own axes (m, rad).
-    density_kg_m3, volume_m3 : float or None
+    density_kg_m3, volume_m3
         Of the bone, without added masses.
-    raw : mapping
-        The whole content.
-    file : Path or None
-        The mass.json; surfaces are in its folder. None: everything is in memory.
-    meshes : mapping of str to Mesh
-        ``stapes`` and ``plate``, when they are in memory.
-    source : mapping
-        An entry of ``inputs`` in the provenance of a result, of a mass in memory.
+    raw, file
+        The whole content, and where it was read: surfaces are in its folder.
+    meshes, source
+        In memory alone: surfaces ``stapes`` and ``plate``, and the entry of ``inputs`` in a provenance.
     """
 
     mass_matrix: MassMatrix
@@ -117,7 +113,7 @@ def statements(record: MassRecord) -> dict[str, tuple[Any, Any]]:
         "inertial_parameters.names": (list(PARAMETER_NAMES), None),
         "inertial_parameters.about": ("footplate_centre", None),
         "inertial_parameters.axes": ("footplate", None),
-        **_pose("footplate"),
+        f"{_POSE}footplate.names": (list(DOF_NAMES), None),
         **_block("mass_matrix", record.mass_matrix, DOF_NAMES),
         **_block("mass_matrix_reduced", record.mass_matrix, REDUCED),
     }
@@ -125,17 +121,9 @@ def statements(record: MassRecord) -> dict[str, tuple[Any, Any]]:
     if plate is not None and in_plate_axes is not None:
         lengths = [float(np.linalg.norm(pose.translation_mm)) for pose in (plate, scan)]
         found["frames.plate_from_footplate"] = (plate.matrix, np.array([1.0, 1.0, 1.0, max(1.0, *lengths)]))
-        found |= _block("mass_matrix_plate_axes", in_plate_axes, DOF_NAMES) | _pose("plate")
+        found |= _block("mass_matrix_plate_axes", in_plate_axes, DOF_NAMES)
+        found[f"{_POSE}plate.names"] = (list(DOF_NAMES), None)
     return found
-
-
-def _pose(name: str) -> dict[str, tuple[Any, None]]:
-    """Return what the covariance of a pose is about."""
-    path, words = (
-        f"frames.pose_covariance.scan_from_{name}",
-        "displacement of the {} frame in its own axes, m and rad",
-    )
-    return {f"{path}.names": (list(DOF_NAMES), None), f"{path}.convention": (words.format(name), None)}
 
 
 def _block(path: str, mass: MassMatrix, dof: Sequence[str]) -> dict[str, tuple[Any, Any]]:

@@ -45,10 +45,9 @@ def motion_columns(dof: Sequence[str], per_reference: bool = False) -> dict[str,
 
 
 def write_motion(folder: Path, stem: str, motion: RigidMotion) -> tuple[Path, Path]:
-    """Write ``<stem>.csv`` and ``<stem>.h5`` into a folder and return their paths.
+    """Write ``<stem>.csv`` and ``<stem>.h5``, which holds its hash, into a folder and return their paths.
 
-    A line at which a body's motion is not determined has no row. The HDF5 file holds the hash of the
-    CSV file, so that a reader knows whether the two still belong together.
+    A line at which a body's motion is not determined has no row.
     """
     csv_path, h5_path = Path(folder) / f"{stem}.csv", Path(folder) / f"{stem}.h5"
     _write_csv(csv_path, motion)
@@ -68,12 +67,9 @@ def write_motion_mat(path: Path, motion: RigidMotion) -> None:
     content |= {name: getattr(motion, name) for name in (*_TEXTS, *_WORDS, *_ARRAYS)}
     if motion.shared is not None:
         content |= {f"shared_{name}": getattr(motion.shared, name) for name in ("names", *_SHARED)}
-    for name, value in content.items():
-        if isinstance(value, tuple):
-            content[name] = np.array(value, dtype=object)[:, None]
-        elif name == "freq_hz":
-            content[name] = value[:, None]
-    savemat(path, {name: value for name, value in content.items() if value is not None})
+    cells = {name: np.array(value, object) for name, value in content.items() if isinstance(value, tuple)}
+    content = {name: value for name, value in (content | cells).items() if value is not None}
+    savemat(path, content, oned_as="column")
 
 
 def motion_table(motion: RigidMotion) -> DataFrame:
@@ -83,11 +79,11 @@ def motion_table(motion: RigidMotion) -> DataFrame:
     return pd.DataFrame(_columns(motion))
 
 
-def _columns(motion: RigidMotion) -> dict[str, Any]:
+def _columns(motion: RigidMotion) -> dict[str, NDArray[Any]]:
     names = motion_columns(motion.dof, bool(motion.reference))
     run, body, line = np.nonzero(np.isfinite(motion.q[..., 0].real))
     q, sd = motion.q[run, body, line], motion.standard_deviation[run, body, line]
-    columns: dict[str, Any] = {
+    columns = {
         "run": np.array(motion.runs, dtype=object)[run],
         "body": np.array(motion.bodies, dtype=object)[body],
         "freq_hz": motion.freq_hz[line],
@@ -140,9 +136,8 @@ def _store(group: Any, source: object, texts: Sequence[str], arrays: Sequence[st
 def read_motion(path: Path) -> RigidMotion:
     """Read ``dof.csv`` or ``dof.h5``.
 
-    A CSV file is completed from the HDF5 file of the same name when that one was written with it; a CSV
-    file without its HDF5 file, or changed since, gives uncorrelated noise from its sd columns
-    and no shared errors.
+    A CSV file is completed from the HDF5 file of the same name that was written with it; without, or changed
+    since, it gives uncorrelated noise from its sd columns and no shared errors.
 
     Raises
     ------

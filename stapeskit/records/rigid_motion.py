@@ -22,9 +22,8 @@ class SharedErrors:
     Attributes
     ----------
     names : tuple of str, (p,)
-        ``<source>.<parameter>``, e.g. ``registration.alpha``. The source ``footplate_frame`` (x, y, z,
-        alpha, beta, gamma: displacement of the footplate frame in its own axes, m and rad) is the same
-        error as in mass.json, so that fitting can join both.
+        ``<source>.<parameter>``, e.g. ``registration.alpha``. The source ``footplate_frame`` (displacement of
+        that frame in its own axes, m and rad) is the same error as in mass.json: fitting can join both.
     covariance, derivatives : ndarray, (p, p), and (p, run, body, freq, dof), complex
         SI; d q / d parameter.
     maps, powers : ndarray, (p, body, 6, 6), complex, and (p,), int, or None
@@ -40,14 +39,12 @@ class SharedErrors:
     powers: NDArray[np.integer] | None = None
 
     def __post_init__(self) -> None:
-        count = len(self.names)
-        shapes = {"covariance": self.covariance.shape, "derivatives": self.derivatives.shape}
-        good = shapes["covariance"] == (count, count) and shapes["derivatives"][:1] == (count,)
+        count, derivatives = len(self.names), self.derivatives.shape
+        wanted = {"covariance": (count, count), "derivatives": (count, *derivatives[1:])}
         if self.maps is not None or self.powers is not None:
-            shapes |= {name: getattr(getattr(self, name), "shape", ()) for name in ("maps", "powers")}
-            bodies = self.derivatives.shape[2:3]
-            good = good and shapes["maps"] == (count, *bodies, 6, 6) and shapes["powers"] == (count,)
-        if not good:
+            wanted |= {"maps": (count, *derivatives[2:3], 6, 6), "powers": (count,)}
+        shapes = {name: np.shape(getattr(self, name)) for name in wanted}
+        if shapes != wanted:
             got = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
             raise StapeskitError.of("shared errors", f"{count} parameters throughout", got)
 
@@ -72,8 +69,6 @@ class RigidMotion:
         ``BODY:DOF`` when q is per unit of that motion, else empty.
     about, axes : str
         Reference point and axes of q.
-    shared, notices, provenance
-        Errors common to all lines; warnings that travel with the data; where they come from.
     """
 
     runs: tuple[str, ...]
@@ -93,22 +88,19 @@ class RigidMotion:
 
     def __post_init__(self) -> None:
         runs, bodies, lines, dof = len(self.runs), len(self.bodies), len(self.freq_hz), len(self.dof)
-        joint = (runs, lines, bodies * dof, bodies * dof)
-        separate = (runs, bodies, lines, dof, dof)
-        wanted: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
-            "q": (self.q.shape, (runs, bodies, lines, dof)),
-            "the covariance": (self.covariance.shape, joint if self.reference else separate),
-            "chi2": (self.chi2.shape, (runs, bodies, lines)),
-            "n_dof": (self.n_dof.shape, (runs, bodies, lines)),
+        grid, joint = (runs, bodies, lines), (runs, lines, bodies * dof, bodies * dof)
+        noise = joint if self.reference else (*grid, dof, dof)
+        wanted: dict[str, tuple[int, ...]] = {
+            "q": (*grid, dof),
+            "covariance": noise,
+            "chi2": grid,
+            "n_dof": grid,
         }
+        found = {name: getattr(self, name).shape for name in wanted}
         if self.shared is not None:
-            derivatives = self.shared.derivatives.shape
-            wanted["the derivatives"] = (derivatives[1:], (runs, bodies, lines, dof))
-        faults = [
-            Fault(f"the shape of {name}", str(want), got)
-            for name, (got, want) in wanted.items()
-            if got != want
-        ]
+            wanted["derivatives"], found["derivatives"] = (*grid, dof), self.shared.derivatives.shape[1:]
+        things = [(name, str(shape), found[name]) for name, shape in wanted.items() if found[name] != shape]
+        faults = [Fault(f"the shape of {name}", shape, got) for name, shape, got in things]
         if tuple(name for name in DOF_NAMES if name in self.dof) != self.dof or not self.dof:
             faults.append(Fault("dof", f"in the order {', '.join(DOF_NAMES)}", self.dof))
         if np.any(np.diff(self.freq_hz) <= 0.0) or np.any(self.freq_hz <= 0.0):
@@ -138,13 +130,7 @@ class RigidMotion:
         return self.bodies.index(name)
 
     def pair(self, run: int, first: int, second: int) -> tuple[ComplexArray, ComplexArray]:
-        """Return the stacked motion of two bodies and its joint covariance.
-
-        Returns
-        -------
-        q : ndarray, (freq, 2 dof), complex
-        covariance : ndarray, (freq, 2 dof, 2 dof), complex
-        """
+        """Return the stacked motion (freq, 2 dof) of two bodies and its covariance (freq, 2 dof, 2 dof)."""
         n = len(self.dof)
         q = np.concatenate([self.q[run, first], self.q[run, second]], axis=-1)
         if self.reference:

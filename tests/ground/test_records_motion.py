@@ -206,7 +206,7 @@ def test_cut_hdf5_files_are_refused(tmp_path, motion):
 @pytest.mark.parametrize(("change", "thing"), [
     ({"chi2": np.zeros(3)}, "the shape of chi2"),
     ({"n_dof": np.zeros((2, 2, 4))}, "the shape of n_dof"),
-    ({"covariance": np.zeros((2, 5, 6, 6), complex)}, "the shape of the covariance"),
+    ({"covariance": np.zeros((2, 5, 6, 6), complex)}, "the shape of covariance"),
     ({"dof": ("gamma", "alpha", "y")}, "dof"),
     ({"freq_hz": np.array([1.0, 3.0, 2.0, 4.0, 5.0])}, "freq_hz"),
 ])  # fmt: skip
