@@ -5,26 +5,19 @@ A fault reads ``<thing> must be <expected>; got <value> (<file, row>). <what to 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Self
 
-MOST_SENTENCES = 20
-"""Sentences of one message: what fits on a screen."""
-
-JOINED_FROM = 6
-"""So many faults that differ only in their row, file or thing, and value, become one sentence."""
-
+MOST_SENTENCES = 20  # of one message: what fits on a screen
+JOINED_FROM = 6  # so many faults that differ in their row, and value, alone become one sentence
 _LONGEST_TEXT = 500  # letters of one field of a fault: longer ones are cut in their middle
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a fault lies: a file, and in it numbers (from 1) of lines, rows, datasets or other ``unit``.
-
-    ``detail`` is a column, a signal, ...: what lies within the line.
-    """
+    """Where a fault lies: a file, numbers (from 1) of lines or another ``unit``, a column or other detail."""
 
     file: str
     unit: str = ""
@@ -38,19 +31,10 @@ class Place:
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault in the user's input.
+    """One fault in the user's input; an option is a thing as on the command line, ``--box``.
 
-    Attributes
-    ----------
-    thing, expected : str
-        What is wrong (options as on the command line, ``--box``), and what it must be. Without the latter
-        ``thing`` is the whole message.
-    got : str
-        The value; any object is accepted and kept as its text.
-    where : str or Place
-        File, row or field; may be empty.
-    next_step : str
-        What the user can do; may be empty.
+    Without ``expected`` the ``thing`` is the whole message; ``got`` is kept as its text; place and next step
+    may be empty.
     """
 
     thing: str
@@ -73,11 +57,7 @@ class Fault:
 
 
 class StapeskitError(ValueError):
-    """Every error that the user's input can cause; the commands end with exit code 2 on it.
-
-    ``faults`` holds every fault, also those that the message only counts. A plain string is a fault of which
-    only the message is known.
-    """
+    """Every error that the user's input can cause; ``faults`` also holds those that it only counts."""
 
     def __init__(self, *faults: Fault | str) -> None:
         self.faults = tuple(fault if isinstance(fault, Fault) else Fault(fault) for fault in faults)
@@ -87,7 +67,7 @@ class StapeskitError(ValueError):
     def of(
         cls, thing: str, expected: str = "", got: object = "", where: str | Place = "", next_step: str = ""
     ) -> Self:
-        """Return the error with one fault; for the arguments see `Fault`."""
+        """Return the error with one fault."""
         return cls(Fault(thing, expected, got, where, next_step))
 
     def __str__(self) -> str:
@@ -120,42 +100,28 @@ def format_faults(faults: Sequence[Fault]) -> str:
 
 
 def _join_alike(faults: Sequence[Fault]) -> list[Fault]:
-    """Join faults that differ in their row, then in their file, then in their thing, and in their value."""
-    kinds: tuple[Callable[[Fault], Hashable], ...] = (
-        lambda fault: (fault.thing, _without_numbers(fault.where)),
-        lambda fault: fault.thing,
-        lambda fault: (fault.got, _without_numbers(fault.where)),
-    )
-    joined = list(faults)
-    for kind in kinds:
-        groups: dict[Hashable, list[Fault]] = {}
-        for fault in joined:
-            groups.setdefault((kind(fault), fault.expected, fault.next_step), []).append(fault)
-        joined = []
-        for group in groups.values():
-            joined += [_joined(group)] if len(group) >= JOINED_FROM else group
+    """Join the faults that differ in their row, and value, alone."""
+    groups: dict[Hashable, list[Fault]] = {}
+    for fault in faults:
+        where = replace(fault.where, numbers=()) if isinstance(fault.where, Place) else fault.where
+        groups.setdefault((fault.thing, fault.expected, fault.next_step, where), []).append(fault)
+    joined = []
+    for group in groups.values():
+        places = [fault.where for fault in group if isinstance(fault.where, Place)]
+        if len(group) < JOINED_FROM:
+            joined += group
+            continue
+        rows = tuple(number for place in places for number in place.numbers)
+        where = replace(places[0], numbers=rows) if places else group[0].where
+        joined.append(replace(group[0], got=list_some(str(fault.got) for fault in group), where=where))
     return joined
 
 
-def _without_numbers(where: str | Place) -> str | Place:
-    return replace(where, numbers=()) if isinstance(where, Place) else where
-
-
-def _joined(group: Sequence[Fault]) -> Fault:
-    """Return one fault for several, with the first of their things, values and places."""
-    thing, got = (list_some(getattr(fault, name) for fault in group) for name in ("thing", "got"))
-    places = [fault.where for fault in group if isinstance(fault.where, Place)]
-    where: str | Place = list_some(filter(None, (str(fault.where) for fault in group)), between="; ")
-    if len(places) == len(group) and len(set(map(_without_numbers, places))) == 1:
-        where = replace(places[0], numbers=tuple(number for place in places for number in place.numbers))
-    return replace(group[0], thing=thing, got=got, where=where)
-
-
-def list_some(texts: Iterable[str], most: int = 3, between: str = ", ") -> str:
+def list_some(texts: Iterable[str], most: int = 3) -> str:
     """List the first distinct texts and count the others."""
     distinct = list(dict.fromkeys(texts))
     more = f" and {len(distinct) - most} more" if len(distinct) > most else ""
-    return between.join(distinct[:most]) + more
+    return ", ".join(distinct[:most]) + more
 
 
 def _cut(text: str) -> str:

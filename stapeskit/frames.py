@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError, raise_all
 
-# Matrices written with seven digits pass.
-_ROTATION_TOLERANCE = 1e-6
+_ROTATION_TOLERANCE = 1e-6  # matrices written with seven digits pass
 
 
 def cross_matrix(vector: ArrayLike) -> Array:
@@ -67,14 +66,7 @@ def transform_faults(matrix: Array, name: str) -> list[Fault]:
 
 @dataclass(frozen=True)
 class RigidTransform:
-    """A proper rigid transform ``to_from_source``.
-
-    Attributes
-    ----------
-    matrix : ndarray, (4, 4)
-        Rotation without unit, translation in mm.
-    to, source : str
-        Names of the frame mapped to and of the frame mapped from.
+    """A proper rigid transform ``to_from_source``, (4, 4): rotation without unit, translation in mm.
 
     Raises
     ------
@@ -119,10 +111,8 @@ class RigidTransform:
 
     def __matmul__(self, other: RigidTransform) -> RigidTransform:
         if self.source != other.to:
-            raise StapeskitError(
-                f"{self.to}_from_{self.source} cannot be composed with {other.to}_from_{other.source}: "
-                f"the frames {self.source} and {other.to} do not meet."
-            )
+            thing = f"the frame to the right of {self.to}_from_{self.source}"
+            raise StapeskitError.of(thing, self.source, f"{other.to}_from_{other.source}")
         return RigidTransform(self.matrix @ other.matrix, self.to, other.source)
 
     def inverse(self) -> RigidTransform:

@@ -21,20 +21,10 @@ MANIFEST = ".stapeskit.json"
 
 
 class Outputs:
-    """The files that one run of a command may write into a folder.
+    """The files ``names`` that one run of a command may write into a folder, which is made when it ends well.
 
-    Parameters
-    ----------
-    command : str
-        Name under which the record file lists them.
-    folder : Path
-        Where they go; it is made when the first run ends well.
-    names : iterable of str
-        Every file that the run may write; names of an earlier run that are not written again are removed.
-    inputs : iterable of Path
-        Files and folders that the run reads.
-    force : bool
-        Replace files that the record does not know.
+    Those of an earlier run that are not written again are removed. ``inputs`` are the files and folders that
+    the run reads; ``force`` replaces files that the record does not know.
     """
 
     def __init__(
@@ -61,7 +51,7 @@ class Outputs:
         if not os.access(there, os.W_OK | os.X_OK):
             raise StapeskitError.of("the output folder", "one that you may write to", there, "", step)
         faults, foreign = [], []
-        known = self._manifest().get(self.command, {})
+        known = _read_manifest(self.folder).get(self.command, {})
         for name in dict.fromkeys((*self.names, *names)):
             path = self.folder / name
             if path.is_dir():
@@ -80,10 +70,7 @@ class Outputs:
     def staged(self) -> Iterator[Path]:
         """Yield an empty folder on the same disk; its files become the outputs when the block ends well.
 
-        Raises
-        ------
-        StapeskitError
-            As `check`; the folder cannot be made or written.
+        It raises what `check` does.
         """
         self.check()
         near = next(folder for folder in (self.folder, *self.folder.parents) if folder.is_dir())
@@ -94,7 +81,7 @@ class Outputs:
             written = {path.relative_to(stage).as_posix(): sha256(path) for path in files}
             self.check(written)
             self._written = tuple(written)
-            manifest = self._manifest()
+            manifest = _read_manifest(self.folder)
             earlier = manifest.get(self.command, {})
             stale = [name for name in earlier if name in self.names and name not in written]
             kept = {name: value for name, value in earlier.items() if name not in stale}
@@ -110,18 +97,15 @@ class Outputs:
 
     def unchanged(self) -> bool:
         """Return whether every file that the command is known to have written is there as it was."""
-        listed = self._manifest().get(self.command, {})
+        listed = _read_manifest(self.folder).get(self.command, {})
         known = {name: value for name, value in listed.items() if name in self.names}
         return bool(known) and all(_hash_or_none(self.folder / one) == value for one, value in known.items())
 
     def paths(self) -> tuple[Path, ...]:
         """Return the outputs that are there, relative to the working folder where they lie within it."""
-        known = self._manifest().get(self.command, {})
+        known = _read_manifest(self.folder).get(self.command, {})
         folder = Path(os.path.relpath(self.folder)) if self.folder.is_relative_to(Path.cwd()) else self.folder
         return tuple(folder / name for name in known if name in self._written)
-
-    def _manifest(self) -> dict[str, dict[str, str]]:
-        return _read_manifest(self.folder)
 
 
 def written_in(folder: Path) -> dict[str, set[str]]:

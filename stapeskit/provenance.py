@@ -91,14 +91,8 @@ def record(
 ) -> dict[str, Any]:
     """Write the ``provenance`` block of a result.
 
-    Parameters
-    ----------
-    inputs : mapping of str to Path, mapping or None
-        Files by their role, or for what is in memory the entry itself; None is left out.
-    parameters : mapping
-        What the user chose and what was chosen for them, JSON-able.
-    command : sequence of str, optional
-        Defaults to the running command line, the program by its name alone.
+    Inputs are files by their role, or for what is in memory the entry itself; None is left out. The command
+    is by default the running command line, the program by its name alone.
     """
     line = [Path(sys.argv[0]).name, *sys.argv[1:]] if command is None else list(command)
     return {

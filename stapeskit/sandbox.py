@@ -66,20 +66,14 @@ def read_apart(
     memory: int | None = None,
     modules: Sequence[str] = (),
 ) -> Result:
-    """Return what ``read()`` returns in a child process with limits on processor time and memory.
+    """Return what ``read()`` returns in a child process: plain data, arrays, texts, data classes.
 
     Parameters
     ----------
-    read : callable
-        Reads the file. Its result must be plain data: arrays, texts, data classes.
-    path : Path
-        The file or folder, for the limits and the message.
-    what : str
-        What the file is, for the message: ``an HDF5 file``.
-    limit_s : float, optional
-        Limit on processor time, s; see `processor_limit_s`.
-    memory : int, optional
-        Limit on further memory, bytes; see `memory_limit`.
+    path, what
+        The file or folder, for limits and message, and what it is: ``an HDF5 file``.
+    limit_s, memory
+        Limits on processor time, s, and on further memory, bytes; see `processor_limit_s`, `memory_limit`.
     modules : sequence of str
         Libraries that are imported before the fork, once instead of in every child.
 
@@ -100,23 +94,9 @@ def no_requests(_: Any) -> NDArray[Any]:
 class Session(Generic[Opened]):
     """A source that is open in a child process and answers requests with arrays, one after the other.
 
-    Parameters
-    ----------
-    open_source : callable
-        Runs in the child. Returns a description of the source (plain data) and a function that takes a
-        request (any picklable value) and returns an array.
-    path, what, limit_s, memory, modules
-        As in `read_apart`; ``limit_s`` holds for opening and for each request.
-
-    Attributes
-    ----------
-    opened
-        The description.
-
-    Raises
-    ------
-    StapeskitError
-        As in `read_apart`.
+    ``open_source`` runs in the child: it returns a description (plain data), which is ``opened``, and a
+    function that takes a request (any picklable value) and returns an array. The other arguments and errors
+    are those of `read_apart`; ``limit_s`` holds for opening and for each request.
     """
 
     opened: Opened

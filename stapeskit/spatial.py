@@ -28,15 +28,8 @@ def dof_indices(names: tuple[str, ...]) -> list[int]:
 def twist_transfer(rotation: ArrayLike, shift_m: ArrayLike) -> Array:
     """Return X (6, 6) with ``q_new = X q_old`` for a new reference point and new axes.
 
-    Parameters
-    ----------
-    rotation : array_like, (3, 3)
-        new_from_old: maps components in old axes to components in new axes.
-    shift_m : array_like, (3,)
-        New reference point minus old one, in OLD axes, m.
+    ``rotation`` is new_from_old, ``shift_m`` the new reference point minus the old one in OLD axes.
 
-    Notes
-    -----
     v_new = R (v + omega x shift), omega_new = R omega (Featherstone 2008, Rigid Body Dynamics
     Algorithms, section 2.8, with linear before angular components).
     """
@@ -62,12 +55,7 @@ def cross(first: Array, second: Array) -> Array:
 def point_rows(arms_m: ArrayLike, directions: ArrayLike) -> Array:
     """Return the observation rows (n, 6) of beams: ``v . d = [d, arm x d] . (v0, omega)``.
 
-    Parameters
-    ----------
-    arms_m : array_like, (n, 3)
-        Points minus reference point, m.
-    directions : array_like, (n, 3)
-        Unit vectors towards the laser head.
+    Arms (n, 3) are points minus reference point; directions (n, 3) are towards the laser head.
     """
     arms = np.asarray(arms_m, dtype=float)
     beams = np.asarray(directions, dtype=float)
@@ -83,14 +71,9 @@ def shifted_point_rows(directions: ArrayLike, shift_m: ArrayLike) -> Array:
 def matrix_from_parameters(parameters: ArrayLike) -> Array:
     """Return the 6x6 spatial inertia from (m, m c, J about the reference point); linear in its argument.
 
-    Parameters
-    ----------
-    parameters : array_like, (10,)
-        kg, kg m and kg m2, in the order of PARAMETER_NAMES. Jxy, Jyz, Jxz are tensor elements,
-        minus the integral of the product.
+    The ten parameters are kg, kg m and kg m2, in the order of PARAMETER_NAMES. Jxy, Jyz, Jxz are tensor
+    elements, minus the integral of the product.
 
-    Notes
-    -----
     M = [[m 1, -m [c]x], [m [c]x, J]]: kinetic energy of a rigid body with linear before angular velocity
     (Featherstone 2008, section 2.13). In the paper's order, M(y, alpha) = -m z_c and M(y, gamma) = +m x_c.
     """

@@ -21,21 +21,11 @@ NEAREST_MM = 1e-12  # a hundred thousandth of the radius of an atom: no sd of a 
 
 @dataclass(frozen=True)
 class Unit:
-    """What a column holds.
+    """What a column holds."""
 
-    Attributes
-    ----------
-    part : str
-        ``re``, ``im``, ``amp`` or ``sd``.
-    order : int
-        Time derivatives: 0 displacement, 1 velocity, 2 acceleration.
-    scale : float
-        Factor to SI peak amplitude.
-    """
-
-    part: str
-    order: int
-    scale: float
+    part: str  # re, im, amp or sd
+    order: int  # time derivatives: 0 displacement, 1 velocity, 2 acceleration
+    scale: float  # to SI peak amplitude
     rms: bool
 
     @property

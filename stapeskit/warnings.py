@@ -37,10 +37,7 @@ class Notice:
 
 @dataclass(frozen=True)
 class WarningEntry:
-    """What a code means, what to do, the verdict on a result that has it, and the room that gives it.
-
-    ``was`` lists codes of earlier versions whose warnings have this one now.
-    """
+    """A code: ``was`` lists those of earlier versions whose warnings have this one now."""
 
     meaning: str
     what_to_do: str

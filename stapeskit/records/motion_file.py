@@ -27,9 +27,13 @@ if TYPE_CHECKING:
 
 SCHEMA = "stapeskit.dof/1"
 MADE_BY = "Make the file with points2dof"
-LARGEST_COUNT = 1e15
-"""Above it a double is no exact count."""
-
+_LARGEST_COUNT = 1e15  # above it a double is no exact count
+_FINITE = f"finite and below {LARGEST:g}, or empty"
+_LIMITS = {
+    "freq_hz": (LOWEST_HZ, HIGHEST_HZ, f"from {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz"),
+    "chi2": (0.0, _LARGEST_COUNT, f"from 0 to {_LARGEST_COUNT:g}"),
+    "n_dof": (0.0, _LARGEST_COUNT, f"a count up to {_LARGEST_COUNT:g}"),
+}
 _PER_REFERENCE = "_per_ref"
 _FURTHER = ("chi2", "n_dof")
 # What is stored, by its kind: fields of RigidMotion, and arrays of its SharedErrors.
@@ -249,18 +253,12 @@ def _motion_from_table(table: Table, notice: Notice) -> RigidMotion:
 def _cell_faults(table: Table) -> Iterator[Fault]:
     """Yield the cells that hold impossible values."""
     for name, values in table.numbers.items():
-        known, low, high = ~np.isnan(values), -LARGEST, LARGEST
-        expected = f"finite and below {LARGEST:g}, or empty"
-        if name == "freq_hz":
-            low, high, expected = LOWEST_HZ, HIGHEST_HZ, f"from {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz"
-            known |= ~table.invalid_rows(name)
-        elif name in _FURTHER:
-            low, high, expected = 0.0, LARGEST_COUNT, f"from 0 to {LARGEST_COUNT:g}"
-        elif "_sd_" in name:
-            low, expected = 0.0, "positive and finite"
+        is_sd = "_sd_" in name
+        usual = (0.0, LARGEST, "positive and finite") if is_sd else (-LARGEST, LARGEST, _FINITE)
+        low, high, expected = _LIMITS.get(name, usual)
+        known = ~np.isnan(values) | ((name == "freq_hz") & ~table.invalid_rows(name))
         wrong = known & ~((values >= low) & (values <= high))
         if name == "n_dof":
-            expected = f"a count up to {LARGEST_COUNT:g}"
             wrong |= known & (values != np.round(values))
         for row in np.flatnonzero(wrong).tolist():
             yield Fault(name, expected, f"{values[row]:g}", table.where(row))
