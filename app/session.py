@@ -34,8 +34,6 @@ class Session:
         An empty one until a scan or a study is chosen.
     scan : Scan or None
         Opened, for the picture.
-    lacking : tuple of str
-        Keys of [scan] without which the scan cannot be opened: no file says them.
     drawing : Drawing or None
         Labels, once the stapes was found.
     marks : Marks
@@ -48,7 +46,6 @@ class Session:
     def __init__(self, study: StudyFile) -> None:
         self.study, self.marks = study, Marks(study)
         self.scan: Scan | None = None
-        self.lacking: tuple[str, ...] = ()
         self.drawing: Drawing | None = None
         self.job: Job | None = None
         self.mass: dict[str, dict[str, Any]] = {}
@@ -78,19 +75,19 @@ class Session:
         self.scan, self.drawing, self.mass, lacks = None, None, {}, ""
         if "scan" in self.study.tables:
             of = self.study.mass_options(hand_work=False)
-            self.lacking, lacks = lacking(of)
+            lacks = lacking(of)
             if of.file is not None and not of.is_mesh and not lacks:
                 with of.as_keys():
-                    self.scan = open_scan(of.file, of.spacing_mm, of.mirror, of.nan_as_air, of.raw)
+                    self.scan = open_scan(of.file, of.spacing_mm, of.mirror, of.nan_as_air)
         return lacks
 
-    def set_voxels(self, **words: str | None) -> str:
-        """Write spacing or layout of the voxels into the study; return what the scan still lacks."""
+    def set_spacing(self, spacing_mm: str | None) -> str:
+        """Write the spacing of the voxels into the study; return what the scan still lacks."""
         self._check_idle()
         if self.study.path.exists():
-            self.study.put("scan", **words)
+            self.study.put("scan", spacing_mm=spacing_mm)
         else:  # it is saved with the first step: until then its name can change
-            self.study.text = self.study.checked("scan", **words)
+            self.study.text = self.study.checked("scan", spacing_mm=spacing_mm)
         return self.open_scan()
 
     def _check_idle(self) -> None:

@@ -51,7 +51,6 @@ class RunOptions(Options):
 class CohortOptions(Options):
     """How several studies run and what is compared."""
 
-    mix: Annotated[Flag, Opt("compare ears that were fitted or prepared in different ways", _COHORT)] = False
     use_all: Annotated[Flag, Opt('let ears enter the laws whose verdict is "do not use"', _COHORT)] = False
     laws: Annotated[Words, Opt("planned laws, at most six: K11~mass,K22~mass", _COHORT)] = ()
 

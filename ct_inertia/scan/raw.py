@@ -7,7 +7,6 @@ import gzip
 import zlib
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -23,41 +22,15 @@ from stapeskit.faults import StapeskitError
 _THREADS = 2  # that read planes at a time
 
 
-@dataclass(frozen=True)
-class RawLayout:
-    """How voxels lie in a file without a header.
-
-    ``shape`` along x, y, z, of which x runs fastest; ``dtype`` as numpy calls it, ``uint16``; ``byte_order``
-    ``little`` or ``big``; ``header_bytes`` before the first voxel.
-    """
-
-    shape: tuple[int, ...]
-    dtype: str
-    byte_order: str = "little"
-    header_bytes: int = 0
-
-
-def open_raw(path: Path, layout: RawLayout | None = None) -> Stored:
-    """Return a raw file with the layout that the user gave, which must be as long as it says."""
-    if layout is None:
-        step = (
-            "Give the header beside them (.mhd, .nhdr, .vgi, .hdr) in their place, or "
-            "--shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N] --spacing H"
-        )
-        raise StapeskitError.of("the scan", "a file with a header", "raw voxels alone", next_step=step)
-    dtype = np.dtype(layout.dtype).newbyteorder("<" if layout.byte_order == "little" else ">")
-    needed, size = dtype.itemsize * prod(layout.shape), path.stat().st_size
-    if size - layout.header_bytes != needed:
-        wanted = f"as long as {_times(layout.shape)} voxels of {layout.dtype} ({needed} bytes)"
-        step = "Check --shape, --dtype and --header-bytes"
-        if path.suffix.lower() == ".gz":
-            step = "The file is packed (gzip): unpack it first"
-        elif size > needed:
-            step += f"; --header-bytes {size - needed} would fit if the surplus is a header"
-        got = f"{size - layout.header_bytes} bytes after the header"
-        raise StapeskitError.of("the raw file", wanted, got, next_step=step)
-    stream, known = Stream(path, layout.header_bytes), "raw voxels do not have it"
-    return Stored(tuple(reversed(layout.shape)), dtype, stream, known=known)
+def open_raw(path: Path) -> Stored:
+    """Refuse voxels without a header, and say what header describes them: a text of six lines."""
+    step = (
+        "Give the header beside them (.mhd, .nhdr, .vgi, .hdr) in their place, or write one: a text file "
+        f"{path.stem}.mhd of the lines ObjectType = Image, NDims = 3, DimSize = NX NY NZ, ElementType = "
+        f"MET_USHORT, ElementSpacing = H H H, ElementDataFile = {path.name}; above the last one, where they "
+        "hold, HeaderSize = BYTES and ElementByteOrderMSB = True"
+    )
+    raise StapeskitError.of("the scan", "a file with a header", "raw voxels alone", path.name, step)
 
 
 def find_voxels(stored: Stored, path: Path) -> None:

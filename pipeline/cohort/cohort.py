@@ -214,7 +214,7 @@ def cohort(
         What is known of ears, by the names of their folders: subject, side, age, sex, group, scanner, cochlea
         ... A result of `scan2kd` brings what its study states.
     **choices
-        ``mix``, ``use_all``, ``laws`` as in `cohort_of`.
+        ``use_all``, ``laws`` as in `cohort_of`.
 
     Raises
     ------
@@ -240,7 +240,6 @@ def cohort_of(
     ears: Sequence[Ear],
     failed: Mapping[str, str] | None = None,
     *,
-    mix: bool = False,
     use_all: bool = False,
     laws: Sequence[str] = (),
 ) -> Cohort:
@@ -250,8 +249,6 @@ def cohort_of(
     ----------
     failed : mapping of str to str, optional
         Studies without a result, and why.
-    mix : bool
-        Put ears together that were fitted or prepared in different ways.
     use_all : bool
         Let ears enter the laws whose verdict is "do not use".
     laws : sequence of str
@@ -262,7 +259,7 @@ def cohort_of(
     StapeskitError
         The ears do not belong together, or a planned law is unknown.
     """
-    raise_all(cohort_faults(ears, mix))
+    raise_all(cohort_faults(ears))
     reasons = reasons_to_exclude(ears, use_all)
     names = dict(zip((ear.folder for ear in ears), unique_names(ears), strict=True))
     excluded = (*(failed or {}).items(), *((names[folder], why) for folder, why in reasons.items()))

@@ -51,17 +51,11 @@ _ALIKE: Mapping[str, Callable[[Ear], str]] = {
     "cochlea": lambda ear: str(ear.about.get("cochlea", "")),
     "incus": lambda ear: str(ear.about.get("incus", "")),
 }
-"""What all ears must have in common; all but the first may differ in a mixed cohort."""
+"""What all ears must have in common."""
 
 
-def cohort_faults(ears: Sequence[Ear], mix: bool = False) -> list[Fault]:
-    """Return every reason why ears are no cohort.
-
-    Parameters
-    ----------
-    mix : bool
-        Allow different estimators, damping laws and states of cochlea and incus.
-    """
+def cohort_faults(ears: Sequence[Ear]) -> list[Fault]:
+    """Return every reason why ears are no cohort."""
     faults = [] if ears else [Fault("the cohort", "of at least one ear", "none")]
     reported: set[tuple[int, ...]] = set()
     for what, key in _ONE_EAR.items():
@@ -78,15 +72,15 @@ def cohort_faults(ears: Sequence[Ear], mix: bool = False) -> list[Fault]:
             thing, got = f"the side of {ear.name}", f"{stated} and {ear.side}"
             faults.append(Fault(thing, "the same in [study] and [scan]", got, ear.folder, "Correct one"))
     for what, key in _ALIKE.items():
-        groups, may_differ = _groups(ears, key), what != "degrees of freedom"
-        if len(groups) < 2 or (mix and may_differ):
+        groups = _groups(ears, key)
+        if len(groups) < 2:
             continue
         kinds = "; ".join(
             f"{value or 'not stated'}: {', '.join(ear.name for ear in them)}"
             for value, them in groups.items()
         )
-        step = "Make a cohort of each kind" + (", or allow a mixed one with --mix" if may_differ else "")
-        faults.append(Fault(f"the {what}", "the same in all ears of a cohort", kinds, "", step))
+        wanted, step = "the same in all ears of a cohort", "Make a cohort of each kind"
+        faults.append(Fault(f"the {what}", wanted, kinds, "", step))
     return faults
 
 

@@ -133,10 +133,6 @@ def test_ears_that_make_no_cohort_are_refused(kind, ears):
         cohort_of(CHANGES[kind](ears))
 
 
-def test_a_mixed_cohort_may_be_asked_for(ears):
-    assert cohort_of(CHANGES["other law"](ears), mix=True).laws
-
-
 @pytest.mark.parametrize("law", ["K99~mass", "K11~height_of_tree"])
 def test_unknown_planned_laws_are_refused(law, ears):
     with pytest.raises(StapeskitError) as raised:

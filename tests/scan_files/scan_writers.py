@@ -238,11 +238,6 @@ def dicom(path, array, series="1", packed=False, **tags):
     return path
 
 
-def raw(path, array, big=False, header=0):
-    path.write_bytes(bytes(header) + array.astype(array.dtype.newbyteorder(">" if big else "<")).tobytes())
-    return path
-
-
 def ome_zarr(path, array, version="0.4", unit="micrometer", leading=(), chunk=4, **options):
     """An image of two levels by the zarr package; ``leading`` names further axes of one entry."""
     import zarr
