@@ -28,7 +28,6 @@ class BodyChannels:
 
     Attributes
     ----------
-    body : str
     points : tuple of str, (c,)
         Name of the point of each channel.
     positions_m : ndarray, (c, 3), or None
@@ -180,13 +179,11 @@ class Measurement:
         Excitations.
     freq_hz : ndarray, (L,)
         Ascending, positive.
-    bodies : tuple of BodyChannels
     quantity : str
         What ``value`` holds, one of `QUANTITIES`: its noise is level over frequency when nothing else is
         known.
     inputs : mapping of str to Path
         Files by their role.
-    notices : tuple of Notice
     repeats : tuple of Repeat, (r,)
         What each entry of ``runs`` (their ``name``) is while repeats are not pooled yet; empty without any.
     line_spread : float

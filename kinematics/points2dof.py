@@ -59,7 +59,6 @@ def measure_motion(
 
     Parameters
     ----------
-    options : MotionOptions
     mass : MassRecord, optional
         Frames and surfaces of the scan.
     progress : callable

@@ -28,7 +28,6 @@ class RepeatedRun:
 
     Attributes
     ----------
-    run : str
     repeats : tuple of str, (n,)
         In the order of the files.
     gains : ndarray, (n,), complex
@@ -36,7 +35,6 @@ class RepeatedRun:
     scatter : float
         Root mean square of the differences over their stated noise, without the gains; NaN where none is
         stated.
-    notices : tuple of Notice
     """
 
     run: str

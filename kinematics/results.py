@@ -44,20 +44,15 @@ class MotionResult(Result):
         In the footplate frame, as fitted.
     placement : Placement
         The registration, and how its errors move the coordinates.
-    channels : tuple of ChannelVerdict
     fits : mapping of (run, body) to LineFit
     diagnoses : mapping of int to Diagnosis
         By body.
-    options : MotionOptions
     unseen : mapping of str to tuple of str
         By body: the rigid motions that its beams cannot see, in words.
     checks : tuple of SurfaceCheck
         Measured points against the surfaces of the scan.
     errors : ErrorEstimate or None
         Of lasers and positions; with ``--calibrate`` of axes and beams, too.
-    repeats : tuple of RepeatedRun
-    mass : MassRecord or None
-    surfaces : mapping of str to Surface
     files : tuple of Path
         Every file that was read; `write` never replaces one of them.
     taken : mapping of str to Path

@@ -32,7 +32,6 @@ class Correction:
         What was corrected by an estimate: its error is shared by all lines.
     covariance : ndarray, (p, p)
         Of the estimates, SI.
-    notices : tuple of Notice
     """
 
     body: BodyChannels
@@ -50,8 +49,6 @@ def corrected(body: BodyChannels, diagnosis: Diagnosis, freq_hz: Array, first: i
 
     Parameters
     ----------
-    body : BodyChannels
-    diagnosis : Diagnosis
     freq_hz : ndarray, (L,)
     first : int
         Number of its first channel among those of all bodies.

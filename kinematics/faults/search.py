@@ -44,7 +44,6 @@ class Diagnosis:
 
     Attributes
     ----------
-    findings : tuple of Finding
     channel_log_p : ndarray, (c,)
         Logarithm of the probability of each channel's readings without a fault of it.
     noise_level : float

@@ -24,7 +24,6 @@ class ChannelVerdict:
 
     Attributes
     ----------
-    run, body, point : str
     direction : ndarray, (3,)
         Beam as in the file.
     residual_rms_m : float
@@ -62,9 +61,6 @@ def channel_verdicts(
 
     Parameters
     ----------
-    run : str
-    body : BodyChannels
-    diagnosis : Diagnosis
     residual_rms_m, weight : ndarray, (c,)
         Of the fit.
     unused : mapping of int to str

@@ -24,7 +24,6 @@ class LineFit:
 
     Attributes
     ----------
-    beams : BeamSet
     q : ndarray, (L, m), complex
         Displacement amplitudes, m and rad; NaN at lines whose channels do not determine it.
     covariance : ndarray, (L, m, m)
@@ -41,8 +40,6 @@ class LineFit:
         What ``sd`` is multiplied with.
     per_displacement : ndarray, (L,), complex
         Measured quantity over displacement.
-    solution : Solution
-    robust : str
     """
 
     beams: BeamSet
@@ -93,7 +90,6 @@ def fit_lines(
 
     Parameters
     ----------
-    beams : BeamSet
     value : ndarray, (c, L), complex
         Measured quantity along the beams; NaN where missing.
     sd : ndarray, broadcastable to (c, L)

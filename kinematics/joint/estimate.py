@@ -37,8 +37,6 @@ class State:
 
     Attributes
     ----------
-    packed : Packed
-    geometry : Geometry
     q : ndarray, (G or 1, c, r)
         Orthonormal columns that span the weighted rows.
     e : ndarray, (G, c, n), complex
@@ -256,8 +254,6 @@ def joint(
 
     Parameters
     ----------
-    packed : Packed
-    parameters : Parameters
     start : ndarray, (p,), optional
     geometry : Geometry, optional
         Geometry that the parameters change; by default that of ``packed``.

@@ -47,7 +47,6 @@ def check_positions(placed: Measurement, diagnoses: Mapping[int, Diagnosis]) -> 
 
     Parameters
     ----------
-    placed : Measurement
     diagnoses : mapping of int to Diagnosis
         By body.
 

@@ -40,7 +40,6 @@ class Parameter:
 
     Attributes
     ----------
-    name : str
     rows : mapping of int to ndarray (c, 6), complex
         By body: d(reading) / d(parameter) per unit of each motion, in footplate axes.
     power : int
@@ -69,7 +68,6 @@ def shared_errors(
     placed : Measurement
         In the footplate frame, as fitted.
     fits : mapping of (run, body) to LineFit
-    placement : Placement
     estimate : ErrorEstimate, optional
         Of lasers, positions, and what was calibrated.
     corrections : sequence of (errors, covariance)

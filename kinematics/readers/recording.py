@@ -140,7 +140,6 @@ class Recording:
     file : str
         Its name.
     rows : tuple of Row, (P,)
-    notices : tuple of Notice
     statement : str
         What the file says about its coordinates and units.
     length_stated : bool
