@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from pathlib import Path
+from dataclasses import fields, replace
 
 from kinematics.fit.reference import parse_reference
 from kinematics.measurement import LeftOut, Measurement
@@ -19,21 +18,7 @@ from stapeskit.records.mass_record import MassRecord
 _MOST_CHECKED_BYTES = 4_000_000  # of text: so much is read whole in a quarter of a second
 
 
-@dataclass(frozen=True)
-class Inputs:
-    """Everything that was read."""
-
-    options: MotionOptions
-    measurement: Measurement
-    fiducials: Fiducials | None = None
-
-    def files(self, mass: MassRecord | None) -> dict[str, Path]:
-        """Return every file that was read, by its role."""
-        roles = dict(self.options.inputs())
-        return roles if mass is None or mass.file is None else {**roles, "mass": mass.file}
-
-
-def read_inputs(options: MotionOptions, mass: MassRecord | None) -> Inputs:
+def read_inputs(options: MotionOptions, mass: MassRecord | None) -> tuple[Measurement, Fiducials | None]:
     """Read every file of a measurement; their faults come together."""
     faults: list[Fault] = []
     fiducials = _read_fiducials(options, faults)
@@ -48,7 +33,7 @@ def read_inputs(options: MotionOptions, mass: MassRecord | None) -> Inputs:
     if options.mirror is not None:
         measurement = measurement.mirrored(options.mirror)
         fiducials = None if fiducials is None else fiducials.mirrored(options.mirror)
-    return Inputs(options, measurement, fiducials)
+    return measurement, fiducials
 
 
 def _read_fiducials(options: MotionOptions, faults: list[Fault]) -> Fiducials | None:

@@ -15,16 +15,17 @@ from kinematics.faults.correct import Correction, corrected, on_all_bodies
 from kinematics.faults.other_body import points_of_other_bodies
 from kinematics.faults.search import Diagnosis, diagnose
 from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices, left_out_verdicts
-from kinematics.fit.beams import BeamSet, beam_set, unseen_motions
+from kinematics.fit.beams import BeamSet, beam_set
 from kinematics.fit.noise import fit_with_noise
 from kinematics.fit.reference import parse_reference, per_reference
 from kinematics.fit.rigid_fit import LineFit
-from kinematics.inputs import Inputs, check_inputs, read_inputs
+from kinematics.inputs import read_inputs
 from kinematics.joint.expected import body_starts, stated_errors
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.motion_checks import check_determined, fit_notices, phase_notices, uncommon_lines
 from kinematics.options import MotionOptions
 from kinematics.place.errors import ErrorEstimate, agreement, with_errors
+from kinematics.place.fiducials import Fiducials
 from kinematics.place.handedness import check_positions
 from kinematics.place.moved import SurfaceCheck, check_extent, check_surfaces, far_away
 from kinematics.place.placement import Placement, place
@@ -76,11 +77,11 @@ def measure_motion(
         different axes; a body without a usable value.
     """
     progress("reading the measurement")
-    read = read_inputs(options, mass)
+    measurement, fiducials = read_inputs(options, mass)
     progress("fitting the motion")
-    measurement, repeats = pool_repeats(read.measurement)
+    measurement, repeats = pool_repeats(measurement)
     check_extent(measurement)
-    placement = place(read.fiducials, options.frame or "footplate", mass)
+    placement = place(fiducials, options.frame or "footplate", mass)
     notices = [] if placement.registration is None else [*placement.registration.notices]
     surfaces = {} if mass is None else surfaces_of(mass)
     checks: tuple[SurfaceCheck, ...] = ()
@@ -124,8 +125,7 @@ def measure_motion(
     before = () if mass is None else mass.notices
     before = tuple(replace(notice, text=f"mass: {notice.text}") for notice in before)
     every = once([*before, *measurement.notices, *notices])
-    motion = replace(motion, notices=every, provenance=_provenance(options, read, mass, command, taken))
-    bodies = fitted.placed.bodies
+    motion = replace(motion, notices=every, provenance=_provenance(options, fiducials, mass, command, taken))
     return MotionResult(
         motion=motion,
         measurement=fitted.placed,
@@ -133,14 +133,12 @@ def measure_motion(
         channels=_verdicts(fitted, found, diagnoses, screened),
         fits=fitted.fits,
         diagnoses=diagnoses,
-        options=options,
-        unseen={body.body: tuple(unseen_motions(body.arms_m, body.directions)) for body in bodies},
         checks=checks,
         errors=estimate,
         repeats=repeats,
         mass=mass,
         surfaces=surfaces,
-        files=tuple(read.files(mass).values()),
+        files=(*options.inputs().values(), *([mass.file] if mass is not None and mass.file else [])),
         taken=dict(taken or {}),
     )
 
@@ -253,20 +251,17 @@ def _motion(
 
 def _provenance(
     options: MotionOptions,
-    read: Inputs,
+    fiducials: Fiducials | None,
     mass: MassRecord | None,
     command: Sequence[str] | None,
     taken: Mapping[str, Path] | None,
 ) -> dict[str, Any]:
-    inputs: dict[str, Any] = {role: path for role, path in read.files(mass).items() if role != "mass"}
+    inputs: dict[str, Any] = dict(options.inputs())
     if mass is not None:
         inputs["mass"] = mass.provenance_input
     parameters = {**options.parameters(), "frame": options.source_frame}
     if taken:
         parameters["found_beside"] = sorted(taken)
-    frames = [options.frame or "footplate"] if read.fiducials is None else [read.fiducials.frame]
+    frames = [options.frame or "footplate"] if fiducials is None else [fiducials.frame]
     block = record(inputs, parameters, command) | {"registered_in": frames}
     return block if mass is None else {**block, "frames_hash": frames_hash(mass.raw)}
-
-
-__all__ = ["MotionResult", "check_inputs", "measure_motion"]

@@ -11,7 +11,6 @@ from kinematics.faults.search import Diagnosis
 from kinematics.faults.verdicts import ChannelVerdict, write_channels
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import Measurement
-from kinematics.options import MotionOptions
 from kinematics.place.errors import ErrorEstimate
 from kinematics.place.moved import SurfaceCheck
 from kinematics.place.placement import Placement
@@ -47,8 +46,6 @@ class MotionResult(Result):
     fits : mapping of (run, body) to LineFit
     diagnoses : mapping of int to Diagnosis
         By body.
-    unseen : mapping of str to tuple of str
-        By body: the rigid motions that its beams cannot see, in words.
     checks : tuple of SurfaceCheck
         Measured points against the surfaces of the scan.
     errors : ErrorEstimate or None
@@ -65,8 +62,6 @@ class MotionResult(Result):
     channels: tuple[ChannelVerdict, ...]
     fits: Mapping[tuple[int, int], LineFit]
     diagnoses: Mapping[int, Diagnosis]
-    options: MotionOptions
-    unseen: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     checks: tuple[SurfaceCheck, ...] = ()
     errors: ErrorEstimate | None = None
     repeats: tuple[RepeatedRun, ...] = ()

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from kinematics.measurement import MIRRORS
-from kinematics.readers.points import position_faults, require, sd_faults, text_of
+from kinematics.readers.points import POSITION, REFERENCE, read_named, text_of
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, raise_all
-from stapeskit.tables import read_table
 
 FRAMES = ("plate", "scan", "footplate")
 
-_SEEN = ("x_mm", "y_mm", "z_mm")
-_KNOWN = ("x_ref_mm", "y_ref_mm", "z_ref_mm")
 _APART_MM = (0.1, 300.0)  # a footplate is 2 mm long, a holder 100 mm: beyond, they are in another unit
 
 
@@ -61,18 +57,12 @@ def read_fiducials(path: Path) -> Fiducials:
         same for all, an sd is not positive or stated for some fiducials only; all faults are listed. Or all
         fiducials lie next to each other or far apart, as in another unit.
     """
-
-    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
-        require(header, ("name", *_SEEN, *_KNOWN), file)
-        return {*_SEEN, *_KNOWN, *({"sd_mm"} & set(header))}, {"name", *({"frame"} & set(header))}
-
-    table = read_table(Path(path), choose)
+    table, faults = read_named(path, ("name", *POSITION, *REFERENCE), ("frame", "sd_mm"))
     rows = range(len(table))
     names = tuple(text_of(table, "name", row) for row in rows)
     frames = [text_of(table, "frame", row).lower() or "plate" for row in rows]
     sd = table.numbers.get("sd_mm", np.full(len(table), np.nan))
     stated = not np.all(np.isnan(sd))
-    faults = [*table.faults, *position_faults(table, (*_SEEN, *_KNOWN)), *sd_faults(table)]
     for row, (name, frame) in enumerate(zip(names, frames, strict=True)):
         if not name or name in names[:row]:
             got, want = f"{name} again" if name else "an empty cell", "given, and different for each fiducial"
@@ -88,7 +78,7 @@ def read_fiducials(path: Path) -> Fiducials:
             faults.append(Fault("sd_mm", want, "an empty cell", table.where(row), step))
     named = dict(zip(table.lines.tolist(), names, strict=True))
     raise_all(_with_name(fault, named) for fault in faults)
-    seen, known = (np.column_stack([table.numbers[name] for name in part]) for part in (_SEEN, _KNOWN))
+    seen, known = (np.column_stack([table.numbers[name] for name in part]) for part in (POSITION, REFERENCE))
     apart = [float(np.max(np.ptp(points, axis=0))) for points in (seen, known)]
     small, large = 0.0 < max(apart) < _APART_MM[0], min(apart) > _APART_MM[1]
     if len(names) > 1 and (small or large):

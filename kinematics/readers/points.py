@@ -12,12 +12,21 @@ import numpy as np
 from kinematics.readers.text import plain_name
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, raise_all
-from stapeskit.units import FARTHEST_MM, NEAREST_MM
+from stapeskit.units import FARTHEST_MM, LARGEST, NEAREST_MM
 
 if TYPE_CHECKING:
     from stapeskit.tables import Table
 
 POSITION = ("x_mm", "y_mm", "z_mm")
+REFERENCE = ("x_ref_mm", "y_ref_mm", "z_ref_mm")
+
+_MM = "Give the number in mm, or leave the row out"
+_NUMBERS = {
+    **dict.fromkeys((*POSITION, *REFERENCE), (-FARTHEST_MM, FARTHEST_MM, _MM)),
+    "sd_mm": (NEAREST_MM, FARTHEST_MM, "Give the standard deviation per coordinate in mm"),
+    "sensitivity": (1.0 / LARGEST, LARGEST, "Give the factor from the numbers of the file to unit"),
+}
+"""Columns of numbers, with their range and what to do about others; all other columns are texts."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +50,31 @@ class Points:
         return alike[0] if len(alike) == 1 else None
 
 
+def read_named(path: Path, needed: Sequence[str], optional: Sequence[str]) -> tuple[Table, list[Fault]]:
+    """Read columns of a table by their names, and list the numbers that cannot be; needed ones must be there.
+
+    Raises
+    ------
+    StapeskitError
+        A needed column is missing; all are named.
+    """
+    from stapeskit.tables import read_table
+
+    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
+        if missing := [name for name in needed if name not in header]:
+            step = "Add the column in the unit of its name, correct its name, or give the table it belongs to"
+            got, where = f"no column {', '.join(missing)}", Place(file, "line", (1,))
+            raise StapeskitError.of("the table", "complete", got, where, step)
+        used = {*needed, *optional} & set(header)
+        return used & set(_NUMBERS), used - set(_NUMBERS)
+
+    table = read_table(Path(path), choose)
+    faults = list(table.faults)
+    for name in (name for name in _NUMBERS if name in table.numbers):
+        faults += cell_faults(table, name, *_NUMBERS[name], must=name in needed)
+    return table, faults
+
+
 def read_points(path: Path) -> Points:
     """Read a points file.
 
@@ -50,16 +84,9 @@ def read_points(path: Path) -> Points:
         A column is missing, a cell is no finite number, a name is empty, a point is repeated, or an sd_mm is
         not positive; all faults are listed.
     """
-    from stapeskit.tables import read_table
-
-    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
-        require(header, ("body", "point", *POSITION), file)
-        return {*POSITION, *({"sd_mm"} & set(header))}, {"body", "point"}
-
-    table = read_table(Path(path), choose)
+    table, faults = read_named(path, ("body", "point", *POSITION), ("sd_mm",))
     xyz = np.column_stack([table.numbers[name] for name in POSITION])
     sd = table.numbers.get("sd_mm", np.full(len(table), np.nan))
-    faults = [*table.faults, *position_faults(table, POSITION), *sd_faults(table)]
     positions: dict[tuple[str, str], Array] = {}
     spread: dict[tuple[str, str], float] = {}
     for row in range(len(table)):
@@ -81,20 +108,6 @@ def text_of(table: Table, name: str, row: int) -> str:
     return "" if column is None else (*column.names, "")[column.codes[row]]
 
 
-def require(header: Sequence[str], names: Sequence[str], file: str) -> None:
-    """Refuse a header that lacks columns.
-
-    Raises
-    ------
-    StapeskitError
-        Names every missing column.
-    """
-    if missing := [name for name in names if name not in header]:
-        step = "Add the column in the unit of its name, correct its name, or give the table it belongs to"
-        got, where = f"no column {', '.join(missing)}", Place(file, "line", (1,))
-        raise StapeskitError.of("the table", "complete", got, where, step)
-
-
 def cell_faults(
     table: Table, name: str, low: float, high: float, step: str, must: bool = False
 ) -> list[Fault]:
@@ -109,20 +122,3 @@ def cell_faults(
         Fault(name, want, text, table.where(row, name), step)
         for row, text in zip(np.flatnonzero(bad).tolist(), got, strict=True)
     ]
-
-
-def position_faults(table: Table, columns: Sequence[str]) -> list[Fault]:
-    """List the cells of columns in mm that are empty, infinite or impossibly far."""
-    step = "Give the number in mm, or leave the row out"
-    return [
-        fault
-        for name in columns
-        for fault in cell_faults(table, name, -FARTHEST_MM, FARTHEST_MM, step, must=True)
-    ]
-
-
-def sd_faults(table: Table) -> list[Fault]:
-    """List the standard deviations in mm that are not positive and finite, or beyond all positions."""
-    step = "Give the standard deviation per coordinate in mm"
-    known = "sd_mm" in table.numbers
-    return cell_faults(table, "sd_mm", NEAREST_MM, FARTHEST_MM, step) if known else []

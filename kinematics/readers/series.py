@@ -21,14 +21,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kinematics.readers.facts import FileFacts, direction_of, is_file
-from kinematics.readers.points import POSITION, cell_faults, require, text_of
+from kinematics.readers.points import POSITION, read_named, text_of
 from kinematics.readers.recording import Recording, Row, unknown_vector
 from kinematics.readers.text import plain_name, shown
 from kinematics.readers.tree import read_tree
 from kinematics.readers.units import SI_UNITS, MotionUnit, is_none, motion_unit, plain
 from kinematics.signals.frf import periodic_frf, welch_frf
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, StapeskitError, collect_faults, list_some, raise_all
+from stapeskit.faults import Fault, Place, StapeskitError, collect_faults, list_some, raise_all
 from stapeskit.units import HIGHEST_HZ, LARGEST
 from stapeskit.warnings import Notice
 
@@ -117,17 +117,7 @@ def read_channels(path: Path) -> list[Listed]:
         A column is missing, a role, unit, sensitivity or direction cannot be read, or a channel is listed
         twice; all faults with their lines.
     """
-    from stapeskit.tables import read_table
-
-    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
-        require(header, ("channel", "unit"), file)
-        return set(_NUMBERS) & set(header), set(_TEXTS) & set(header)
-
-    table = read_table(path, choose)
-    faults = list(table.faults)
-    if "sensitivity" in table.numbers:
-        step = "Give the factor from the numbers of the file to unit"
-        faults += cell_faults(table, "sensitivity", 1.0 / LARGEST, LARGEST, step)
+    table, faults = read_named(path, ("channel", "unit"), (*_TEXTS, *_NUMBERS))
     listed = dict[tuple[str, str], Listed]()
     for line in range(len(table)):
         one = _listed(table, line, faults)
@@ -236,7 +226,9 @@ def _arrays(path: Path, names: Sequence[str]) -> Mapping[str, Any]:
     wanted = ["time_s", *(name.lower() for name in names)]
 
     def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
-        require(header, wanted, file)
+        if missing := [name for name in wanted if name not in header]:
+            got, where = f"no column {', '.join(missing)}", Place(file, "line", (1,))
+            raise StapeskitError.of("the table", "complete", got, where, "Add it, or correct its name")
         return {*wanted, "freq_hz"} & set(header), set()
 
     table = read_table(path, choose)

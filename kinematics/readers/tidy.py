@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.readers.facts import FileFacts
-from kinematics.readers.points import POSITION, cell_faults, position_faults, text_of
+from kinematics.readers.points import POSITION, cell_faults, text_of
 from kinematics.readers.recording import Recording, Row, from_parts, from_polar, unknown_vector
 from kinematics.readers.settle import DECIBELS
 from kinematics.readers.text import plain_name, shown
@@ -22,7 +22,7 @@ from kinematics.readers.units import MotionUnit
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, list_some, raise_all
 from stapeskit.frames import axis_vector
-from stapeskit.units import HIGHEST_HZ, LARGEST, LOWEST_HZ, SUFFIXES, Unit, unit_of
+from stapeskit.units import FARTHEST_MM, HIGHEST_HZ, LARGEST, LOWEST_HZ, SUFFIXES, Unit, unit_of
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -130,8 +130,10 @@ def _columns_of(header: Sequence[str], file: str) -> Columns:
 def _number_faults(table: Table, columns: Columns) -> list[Fault]:
     """List what no row of this table may hold; what no format may hold is found later."""
     dc = "Give the frequency in Hz, or leave the row out (a DC line holds no motion)"
-    faults = position_faults(table, POSITION) if POSITION[0] in table.numbers else []
-    faults += cell_faults(table, "freq_hz", LOWEST_HZ, HIGHEST_HZ, dc, must=True)
+    faults = cell_faults(table, "freq_hz", LOWEST_HZ, HIGHEST_HZ, dc, must=True)
+    for name in (name for name in POSITION if name in table.numbers):
+        step = "Give the number in mm, or leave the row out"
+        faults += cell_faults(table, name, -FARTHEST_MM, FARTHEST_MM, step, must=True)
     if columns.unit.part == "amp":
         faults += cell_faults(table, columns.pair[0], 0.0, LARGEST, DECIBELS)
     for name in (name for name in DIRECTION if name in table.numbers):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kinematics.fit.beams import unseen_motions
 from stapeskit.arrays import Array
 from stapeskit.report.figures import dof_unit
 
@@ -60,13 +61,14 @@ def bodies_json(result: MotionResult) -> dict[str, dict[str, Any]]:
         size = np.nanmax(np.abs(motion.q[:, number]), axis=(0, 1))
         with np.errstate(invalid="ignore", divide="ignore"):
             ratio = size / np.sqrt(np.nanmean(sd[:, number] ** 2, axis=(0, 1)))
+        body = result.measurement.bodies[number]
         best = float(np.nanmax(np.where(np.isfinite(ratio), ratio, 0.0)))
         found[name] = {
-            "channels": len(result.measurement.bodies[number].points),
+            "channels": len(body.points),
             "chi2": float(np.nansum(motion.chi2[:, number])),
             "n_dof": int(np.sum(motion.n_dof[:, number])),
             "best_peak_over_noise": best,
-            "unobservable": list(result.unseen.get(name, ())),
+            "unobservable": unseen_motions(body.arms_m, body.directions),
         }
     return found
 

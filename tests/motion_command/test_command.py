@@ -14,9 +14,9 @@ from fitting.verdict import unused_codes
 from kinematics.api import points2dof
 from kinematics.cli import work
 from kinematics.companions import with_companions
+from kinematics.inputs import check_inputs
 from kinematics.options import MotionFiles, MotionOptions
 from kinematics.place.fiducials import read_fiducials
-from kinematics.points2dof import check_inputs
 from kinematics.report.page import motion_verdict
 from kinematics.results import ENDINGS
 from stapeskit.command_line import parse
