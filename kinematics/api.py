@@ -43,7 +43,7 @@ def points2dof(
     --------
     >>> motion = points2dof("ldv.csv", mass=mass)  # doctest: +SKIP
     """
-    from kinematics.companions import with_companions
+    from kinematics.inputs import with_companions
     from kinematics.points2dof import measure_motion
 
     files = [ldv] if isinstance(ldv, str | os.PathLike) else list(ldv)

@@ -49,7 +49,7 @@ def work(words: Sequence[str]) -> Outcome:
     from stapeskit.command_line import parse
 
     options, files = parse("points2dof", _TEXT, (MotionOptions, MotionFiles), words, _epilog())
-    from kinematics.companions import with_companions
+    from kinematics.inputs import with_companions
     from kinematics.points2dof import measure_motion
     from kinematics.results import output_set
     from stapeskit.records.mass_file import read_mass_json

@@ -8,11 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from stapeskit.arrays import Array, ComplexArray
-from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform
 from stapeskit.warnings import Notice
 
@@ -47,11 +48,6 @@ class BodyChannels:
         As in the file, by which channels and corrections are named; the current ones without them.
     file_from_here : ndarray, (3, 3)
         From the axes of ``positions_m`` to those of the file; a reflection with --mirror.
-
-    Raises
-    ------
-    StapeskitError
-        Shapes that do not match, or directions that are no unit vectors.
     """
 
     body: str
@@ -67,27 +63,12 @@ class BodyChannels:
     file_from_here: Array = field(default_factory=lambda: np.eye(3))
 
     def __post_init__(self) -> None:
-        count = len(self.points)
         if self.file_directions.size == 0:
             object.__setattr__(self, "file_directions", self.directions)
         if self.file_positions_m is None:
             object.__setattr__(self, "file_positions_m", self.positions_m)
         if self.position_sd_m.size == 0:
-            object.__setattr__(self, "position_sd_m", np.full(count, np.nan))
-        shapes = {
-            "positions_m": ((count, 3) if self.positions_m is None else self.positions_m.shape, (count, 3)),
-            "directions": (self.directions.shape, (count, 3)),
-            "value": (self.value.shape[1:2], (count,)),
-            "sd": (self.value.shape if self.sd is None else self.sd.shape, self.value.shape),
-            "position_sd_m": (self.position_sd_m.shape, (count,)),
-        }
-        raise_all(
-            Fault(f"the shape of {name} of body {self.body}", str(want), got)
-            for name, (got, want) in shapes.items()
-            if got != want
-        )
-        if not np.all(np.abs(np.linalg.norm(self.directions, axis=1) - 1.0) < 1e-3):
-            raise StapeskitError.of(f"the beam directions of body {self.body}", "unit vectors", "others")
+            object.__setattr__(self, "position_sd_m", np.full(len(self.points), np.nan))
 
     @property
     def is_noise_stated(self) -> bool:
@@ -145,17 +126,11 @@ def direction_name(direction: Array) -> str:
     return ", ".join(f"{value:.3f}" for value in direction)
 
 
-@dataclass(frozen=True)
-class Repeat:
-    """Which repeat of which excitation an entry of ``runs`` is; a number tells the order in time."""
+class Repeat(NamedTuple):
+    """Which repeat of which excitation an entry of ``runs`` is; empty where a run has no repeats."""
 
     run: str
     repeat: str = ""
-
-    @property
-    def name(self) -> str:
-        """Name that no other repeat of the measurement has."""
-        return f"{self.run} repeat {self.repeat}" if self.repeat else self.run
 
 
 @dataclass(frozen=True)
@@ -193,11 +168,6 @@ class Measurement:
         What the files say about their coordinates, units, resolution and averages.
     left_out : tuple of LeftOut
         Channels of the files that the user left out.
-
-    Raises
-    ------
-    StapeskitError
-        Shapes that do not match, frequencies that do not ascend, an unknown quantity.
     """
 
     frame: str
@@ -211,22 +181,6 @@ class Measurement:
     line_spread: float = 1.0
     statements: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
-
-    def __post_init__(self) -> None:
-        faults = []
-        for body in self.bodies:
-            want = (len(self.runs), len(body.points), len(self.freq_hz))
-            if body.value.shape != want:
-                faults.append(Fault(f"the data of body {body.body}", f"of shape {want}", body.value.shape))
-        if np.any(self.freq_hz <= 0.0) or np.any(np.diff(self.freq_hz) <= 0.0):
-            faults.append(Fault("freq_hz", "positive and ascending", "another order"))
-        if self.quantity not in QUANTITIES:
-            faults.append(Fault("the measured quantity", f"one of {', '.join(QUANTITIES)}", self.quantity))
-        if not self.bodies:
-            faults.append(Fault("a measurement", "of at least one body", "none"))
-        if self.repeats and tuple(repeat.name for repeat in self.repeats) != self.runs:
-            faults.append(Fault("runs", "the names of the repeats", self.runs))
-        raise_all(faults)
 
     @property
     def order(self) -> int:

@@ -22,8 +22,7 @@ from kinematics.faults.unstated_noise import FAR, amplitude_noise, line_residual
 from kinematics.fit.noise import assumed_sd
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.joint.estimate import State
-from kinematics.joint.expected import ChannelError, Layout, stated_errors
-from kinematics.joint.lasers import laser_numbers
+from kinematics.joint.expected import ChannelError, Layout, laser_numbers, stated_errors
 from kinematics.joint.noise_levels import LEAST_FREEDOM, digits_spread
 from kinematics.joint.pack import Readings
 from kinematics.measurement import BodyChannels

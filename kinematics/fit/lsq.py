@@ -7,7 +7,7 @@ residuals of all channels and lines are never kept.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,14 +80,6 @@ class Solution:
             weight=np.zeros(channels),
             square=np.zeros(channels),
             used=np.zeros(channels, dtype=np.int64),
-        )
-
-    def with_line_noise(self, factor: Array) -> Solution:
-        """Return the solution of least squares for noise that is larger by a factor (L,) of each line."""
-        square = factor**2
-        covariance = self.covariance * square[:, None, None]
-        return replace(
-            self, covariance=covariance, chi2=self.chi2 / square, explained=self.explained / square
         )
 
     def is_rounding(self, share: float = 1e-8) -> bool:

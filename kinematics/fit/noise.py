@@ -10,7 +10,7 @@ from kinematics.fit.beams import BeamSet
 from kinematics.fit.lsq import HUBER_TUNING, blocks
 from kinematics.fit.rigid_fit import LineFit, fit_lines
 from kinematics.joint.estimate import State
-from kinematics.joint.lasers import laser_numbers
+from kinematics.joint.expected import laser_numbers
 from kinematics.joint.noise_levels import ChannelLevels, channel_levels, pooled_levels
 from kinematics.joint.pack import Readings, pack
 from kinematics.measurement import BodyChannels, Measurement

@@ -52,7 +52,6 @@ class LineFit:
     factor: Array
     per_displacement: ComplexArray
     solution: Solution
-    robust: str = "none"
 
     @property
     def channel_rms_m(self) -> Array:
@@ -63,10 +62,9 @@ class LineFit:
 
     def with_line_noise(self, factor: Array) -> LineFit:
         """Return the fit of least squares for other factors (L,) of the noise: its motion is the same."""
-        change = factor / self.factor
-        solution = self.solution.with_line_noise(change)
-        covariance = self.covariance * (change**2)[:, None, None]
-        return replace(self, covariance=covariance, chi2=solution.chi2, factor=factor, solution=solution)
+        change = (factor / self.factor) ** 2
+        covariance = self.covariance * change[:, None, None]
+        return replace(self, covariance=covariance, chi2=self.chi2 / change, factor=factor)
 
     def residual(self, lines: Lines = _WHOLE) -> ComplexArray:
         """Return measured minus fitted displacement, (c, n), m; NaN where missing."""
@@ -110,9 +108,7 @@ def fit_lines(
     covariance = beams.to_dof @ solution.covariance @ beams.to_dof.T
     covariance /= (np.abs(per_displacement) ** 2)[:, None, None]
     n_dof = np.where(solution.good, 2 * (solution.count - size), 0)
-    return LineFit(
-        beams, q, covariance, solution.chi2, n_dof, value, sd, factor, per_displacement, solution, robust
-    )
+    return LineFit(beams, q, covariance, solution.chi2, n_dof, value, sd, factor, per_displacement, solution)
 
 
 def refit(beams: BeamSet, fit: LineFit) -> LineFit:

@@ -20,9 +20,6 @@ from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, collect_faults, list_some, raise_all
 from stapeskit.warnings import Notice, once
 
-Take = tuple[str, str]
-"""Run and repeat."""
-
 _SAME_PLACE_M = 1e-6  # positions written with four digits
 _MOST_HIDDEN = 0.5  # share of values up to which the noise of a usual channel is known
 
@@ -106,7 +103,7 @@ def assemble(
     raise_all(twice_faults(rows))
     order = Counter(row.order for row in rows).most_common(1)[0][0]
     rows = [_as_order(row, order) for row in rows]
-    takes = list(dict.fromkeys((row.run, row.repeat) for row in rows))
+    takes = list(dict.fromkeys(Repeat(row.run, row.repeat) for row in rows))
     freq_hz = rows[0].freq_hz
     channels = len({(row.body, row.beam) for row in rows})
     check_filled(len(takes) * channels, len(freq_hz), len(rows) * len(freq_hz))
@@ -127,16 +124,15 @@ def assemble(
         listed = ", ".join(body.body for body in bodies)
         text = f"bodies whose names differ in case only were taken as different: {listed}."
         notices.append(Notice("file_read", text))
-    repeats = tuple(Repeat(run, repeat) for run, repeat in takes)
     several = len({run for run, _ in takes}) < len(takes)
     return Measurement(
         frame,
-        tuple(repeat.name if several else repeat.run for repeat in repeats),
+        tuple(f"{run} repeat {repeat}" if several and repeat else run for run, repeat in takes),
         freq_hz,
         tuple(bodies),
         QUANTITY_OF_ORDER[order],
         notices=once(notices),
-        repeats=repeats if several else (),
+        repeats=tuple(takes) if several else (),
         line_spread=max(one.line_spread for one in recordings),
         statements=tuple(f"{one.file}: {one.statement}" for one in recordings if one.statement),
     )
@@ -174,7 +170,7 @@ def _as_order(row: Row, order: int) -> Row:
 
 
 def _body(
-    rows: Sequence[Row], takes: Sequence[Take], points: Points | None, notices: list[Notice]
+    rows: Sequence[Row], takes: Sequence[Repeat], points: Points | None, notices: list[Notice]
 ) -> BodyChannels:
     """Arrange the rows of one body by run, channel and line; add what is missing and what is not used.
 

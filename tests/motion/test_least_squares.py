@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from kinematics.fit.lsq import solve
+from kinematics.fit.rigid_fit import fit_lines
 from tests.motion.bodies import as_measurement, fitted, recorded
 
 
@@ -60,9 +61,14 @@ def test_mean_squares_reach_the_bound_and_intervals_cover(case):
     energy = np.nansum(np.abs((value - basis @ fit.z) / sd) ** 2, axis=1)
     known = fit.freedom > 0.0
     assert np.max(np.abs(energy[known] / fit.freedom[known] - 1.0)) < 6.0 * np.sqrt(2.0 / lines)
-    factor = 10.0 ** rng.uniform(-1.0, 1.0, lines)  # of the noise of each line: the motion does not change
-    own, scaled = solve(basis, value, sd * factor), fit.with_line_noise(factor)
-    for name in ("z", "covariance", "chi2", "explained", "freedom", "weight", "square"):
+
+
+def test_noise_of_a_line_scales_its_fit():
+    _body, (fit,) = fitted(as_measurement(recorded(1)))
+    factor = 10.0 ** np.random.default_rng(4).uniform(-1.0, 1.0, fit.value.shape[1])
+    own = fit_lines(fit.beams, fit.value, fit.sd, fit.per_displacement, factor=factor)
+    scaled = fit.with_line_noise(factor)
+    for name in ("q", "covariance", "chi2"):
         np.testing.assert_allclose(getattr(scaled, name), getattr(own, name), rtol=1e-6, err_msg=name)
 
 

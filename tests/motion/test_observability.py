@@ -6,7 +6,7 @@ import pytest
 from kinematics.fit.beams import beam_set, observable_dof, unseen_motions
 from kinematics.fit.neglected import neglected_notice
 from kinematics.fit.reference import per_reference
-from kinematics.joint.lasers import laser_numbers
+from kinematics.joint.expected import laser_numbers
 from simulate import motion_of
 from simulate.vibrometer import laser_directions
 from stapeskit.faults import StapeskitError

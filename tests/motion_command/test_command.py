@@ -13,8 +13,7 @@ from fitting.dof2kd import dof2kd
 from fitting.verdict import unused_codes
 from kinematics.api import points2dof
 from kinematics.cli import work
-from kinematics.companions import with_companions
-from kinematics.inputs import check_inputs
+from kinematics.inputs import check_inputs, with_companions
 from kinematics.options import MotionFiles, MotionOptions
 from kinematics.place.fiducials import read_fiducials
 from kinematics.report.page import motion_verdict

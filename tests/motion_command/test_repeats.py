@@ -30,7 +30,7 @@ def repeated(seed, count=6, stated=True, gains=None, sd=0.02, extra=0.0, missing
         spread if stated else None,
     )
     repeats = tuple(Repeat("a", str(k + 1)) for k in range(count))
-    names = tuple(repeat.name for repeat in repeats)
+    names = tuple(f"{repeat.run} repeat {repeat.repeat}" for repeat in repeats)
     return Measurement("footplate", names, np.linspace(100.0, 900.0, LINES), (body,), repeats=repeats), true
 
 
