@@ -40,12 +40,15 @@ class Box(Grid):
         One voxel of every block as it is stored; None where every block is one voxel.
     is_mask : bool
         The scan holds a few classes, not grey values: ``grey`` is 0 or 1 then.
+    repeated : tuple of int
+        Slices of the scan that are copies of those before them.
     """
 
     grey: Grey
     measured: Mask | None = None
     single: NDArray[Any] | None = None
     is_mask: bool = False
+    repeated: tuple[int, ...] = ()
 
     @property
     def stored(self) -> NDArray[Any]:

@@ -12,12 +12,13 @@ from ct_inertia.scan.scan import Scan, block_means
 from ct_inertia.voxels.grid import Grid
 from ct_inertia.voxels.masks import grown
 from stapeskit.arrays import Array
-from stapeskit.faults import StapeskitError
+from stapeskit.faults import StapeskitError, list_some
+from stapeskit.warnings import Notice
 
 ALONE_MM, IN_SITU_MM = 0.024, 0.0124
 """Largest blocks for a stapes alone, and for one that touches other bone, mm: finer ones cost time only."""
 
-_LEAST_BESIDE = 50  # voxels before and behind a blank slice: a crus
+_CRUS_MM2 = 0.02  # least cross-section of a crus, before and behind blank slices
 
 MARGIN = (0.25, 16)
 """Around the stapes, mm and blocks, whichever is more: room for its blur and for air beyond it."""
@@ -60,7 +61,7 @@ def read_box(
     Raises
     ------
     StapeskitError
-        Voxels that cannot be read or are refused, and a blank slice amid others.
+        Voxels that cannot be read or are refused, and blank slices amid others.
     """
     block = block_for(scan.spacing_mm, most_mm)
     around = np.maximum(margin[1] * block, np.ceil(margin[0] / scan.spacing_mm)).astype(np.int64)
@@ -73,7 +74,7 @@ def read_box(
     last = first + count * block
     z, y, x = (slice(int(a), int(b)) for a, b in zip(first[::-1], last[::-1], strict=True))
     if overview is not None:
-        _check_slices(scan, z, y, x)
+        repeated = _repeated_slices(scan, z, y, x)
     if np.all(block == 1):
         box = Box(**vars(grid), grey=scan.read((z, y, x)).astype(np.float32))
     else:
@@ -83,23 +84,47 @@ def read_box(
         ]
         grey = block_means(scan, [int(n) for n in block], (z, y, x))
         box = Box(**vars(grid), grey=grey, single=scan.read((middle[0], middle[1], middle[2])))
-    return box if overview is None else _with_measured(box, overview)
+    return box if overview is None else replace(_with_measured(box, overview), repeated=repeated)
 
 
-def _check_slices(scan: Scan, z: slice, y: slice, x: slice) -> None:
-    """Refuse a slice of one value between two that differ from it in the same places: it cuts the body.
+def _repeated_slices(scan: Scan, z: slice, y: slice, x: slice) -> tuple[int, ...]:
+    """Return the slices that repeat the one before; refuse blank ones between two parts of the picture.
 
     A plane of air that the export has clipped lies between bodies of which one is elsewhere. Every second
     voxel along x and y is looked at.
+
+    Raises
+    ------
+    StapeskitError
+        Slices of one value lie between two that differ from it in the same places: they cut the body.
     """
     values = scan.read((z, slice(y.start, y.stop, 2), slice(x.start, x.stop, 2)))
     blank = np.all(values == values[:, :1, :1], axis=(1, 2))
-    for k in np.flatnonzero(blank[1:-1] & ~blank[:-2] & ~blank[2:]) + 1:
-        both = (values[k - 1] != values[k]) & (values[k + 1] != values[k])
-        if np.count_nonzero(both) > _LEAST_BESIDE:
-            got = f"{values[k].flat[0]} in every voxel of slice {z.start + k}, counted from 0"
-            step = "It was lost: reconstruct or copy it again"
+    least = _CRUS_MM2 / float(np.prod(2.0 * scan.spacing_mm[:2]))
+    seen = np.flatnonzero(~blank)
+    for before, behind in zip(seen[:-1], seen[1:], strict=True):
+        lost = values[before + 1].flat[0]
+        both = (values[before] != lost) & (values[behind] != lost)
+        if behind > before + 1 and np.count_nonzero(both) > least:
+            numbers = list_some([str(z.start + k) for k in range(before + 1, behind)], 6)
+            got = f"{lost} in every voxel of slice {numbers}, counted from 0"
+            step = "They were lost: reconstruct or copy them again"
             raise StapeskitError.of("the scan", "without blank slices in the stapes", got, scan.name, step)
+    same = np.all(values[1:] == values[:-1], axis=(1, 2)) & ~blank[1:]
+    return tuple(int(k) for k in z.start + 1 + np.flatnonzero(same))
+
+
+def repeated_notice(box: Box) -> tuple[Notice, ...]:
+    """Return the warning about slices that repeat the one before."""
+    if not box.repeated:
+        return ()
+    share = 100.0 * len(box.repeated) / float(box.size[2] * box.block[2])
+    text = (
+        f"Slices {list_some(map(str, box.repeated), 6)}, counted from 0, are copies of those before them. "
+        "Where they were added, the stapes is longer by them, where they replace others, those are missing: "
+        f"{share:.2g} % of its slices, which the budget does not hold. Reconstruct or copy them again."
+    )
+    return (Notice("slices_out_of_place", text),)
 
 
 def _with_measured(box: Box, overview: Overview) -> Box:

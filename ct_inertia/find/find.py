@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Box, Cells, Labelled, PlateRegion
-from ct_inertia.find.box import ALONE_MM, IN_SITU_MM, block_for, read_box
+from ct_inertia.find.box import ALONE_MM, IN_SITU_MM, block_for, read_box, repeated_notice
 from ct_inertia.find.choose import Candidate, Search, choose
 from ct_inertia.find.overview import Overview, look_at, noise_of, scan_notices, smooth_noise
 from ct_inertia.find.plate import find_plate, plate_mask
+from ct_inertia.find.refuse import check_background
 from ct_inertia.scan.scan import Scan
 from ct_inertia.voxels.fields import Grey
 from ct_inertia.voxels.flood import flood
@@ -58,6 +59,8 @@ def _label(scan: Scan, overview: Overview, chosen: Candidate) -> Labelled:
     view = _view(scan, overview, chosen)
     box = view.box
     own = _in_first_look(overview, chosen)
+    if not overview.is_mask:
+        check_background(box, view.own, view.bone, reading.air, reading.bone)
     region = None if overview.is_mask else find_plate(scan, overview, reading, own)
     plate = np.zeros(box.shape, dtype=bool)
     if region is not None:
@@ -76,7 +79,7 @@ def _label(scan: Scan, overview: Overview, chosen: Candidate) -> Labelled:
         noise=view.noise,
         separation=view.method if split is None else str(split),
         at_neck=split is not None and split.neck is not None,
-        notices=_cropped_notice(chosen),
+        notices=(*repeated_notice(box), *_cropped_notice(chosen)),
     )
 
 

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Box, Cells, Labelled, PlateRegion
-from ct_inertia.find.box import read_box
+from ct_inertia.find.box import read_box, repeated_notice
 from ct_inertia.find.label_volume import LEAST_VOXELS, read_labels
 from ct_inertia.find.levels import readings
 from ct_inertia.find.overview import Overview, look_at, noise_of, scan_notices
 from ct_inertia.find.plate import drawn_plate, find_plate, plate_mask
+from ct_inertia.find.refuse import check_background
 from ct_inertia.scan.scan import Scan
 from ct_inertia.voxels.distance import capped_distance
 from ct_inertia.voxels.flood import flood
@@ -130,6 +131,7 @@ def _on_scan(drawn: Drawn, grid: Grid, scan: Scan, overview: Overview, notices: 
         plastic_mask = plate_mask(region, box, box.grey, box.grey > np.float32(middle)) & (local == 0)
         region = None if region.immersing else region
     stapes, other = _by_grey_values(box, local, plastic_mask, middle)
+    check_background(box, stapes, stapes | other | plastic_mask, air, bone)
     air, bone = _levels(box, _bodies(stapes, other, local))
     return Labelled(
         box=box,
@@ -144,7 +146,7 @@ def _on_scan(drawn: Drawn, grid: Grid, scan: Scan, overview: Overview, notices: 
         noise=noise_of(box.grey),
         separation="labels made elsewhere",
         named=True,
-        notices=(*notices, *_cut_by_labels(box, local, grid, middle)),
+        notices=(*notices, *repeated_notice(box), *_cut_by_labels(box, local, grid, middle)),
     )
 
 

@@ -1,4 +1,4 @@
-"""Why no stapes was found, in words: sizes first, other units, inverted grey values, a body left open."""
+"""Why a scan is refused: no stapes, a wrong unit, inverted grey values, a cut body, a background set by hand."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from ct_inertia.bodies import Box, Mask
 from ct_inertia.find.levels import material_levels, readings
 from ct_inertia.find.overview import Overview
 from ct_inertia.find.pieces import USUAL, Piece, label_pieces, size_score
+from ct_inertia.voxels.masks import grown
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError
 from stapeskit.warnings import Notice
@@ -19,6 +21,12 @@ _TRIED, _SHOWN = 6, 4  # bodies whose shape is looked at, and that a message lis
 _LENGTH_MM = 3.5  # of a stapes
 _UNITS = {1e-3: "micrometres", 10.0: "centimetres", 25.4: "inches", 1e3: "metres"}
 """What a spacing may have been given in, by the millimetres of one unit."""
+
+_COLLAR_VOXELS, _MOST_UNMEASURED = 4, 0.5  # around the stapes: its blur, of which half must be measured
+_LEAST_SET = 0.05  # share of the air of a box that has one value, which somebody has set
+_PILED, _BESIDE = 5.0, 3  # a value is piled up by so many times the mean of so many next ones on either side
+_NEAR, _TAIL = 0.01, 0.1  # of the contrast, from a constant: the last and the whole of what fades into it
+_FADING, _CLIPPED = 0.2, 0.03  # voxels near it over those in its tail: 0.5 where blur fades, 0.1 at random
 
 
 def no_stapes(overview: Overview, tried: Sequence[Piece]) -> StapeskitError:
@@ -148,3 +156,53 @@ def unusual_notice(piece: Piece) -> tuple[Notice, ...]:
     else:
         return ()
     return (Notice("stapes_uncertain", text + " Look at it in the report; name another one with --seed."),)
+
+
+def check_background(box: Box, stapes: Mask, bodies: Mask, air: float, bone: float) -> None:
+    """Refuse a scan whose background was set to a constant close around the stapes.
+
+    Raises
+    ------
+    StapeskitError
+        The blur of the stapes, or the air around it, is not in the scan.
+
+    Notes
+    -----
+    Air with noise has no value that stands out of its neighbours. One that does is clipped where it is the
+    lowest and others lie next to it, and without noise where edges fade into it; else it was set.
+    """
+    collar = stapes
+    for _ in range(_COLLAR_VOXELS):
+        collar = grown(collar)
+    collar = collar & ~bodies
+    measured = np.ones(box.shape, dtype=bool) if box.measured is None else box.measured
+    lost = 1.0 - float(np.mean(measured[collar])) if collar.any() else 0.0
+    got = f"a constant in {100.0 * lost:.0f} % of the voxels next to it"
+    if lost <= _MOST_UNMEASURED:
+        dark = box.stored[measured & ~bodies & (box.grey < 0.5 * (air + bone))].astype(float)
+        value, share = _set_value(dark, bone - air)
+        got = f"{value:g} in {100.0 * share:.0f} % of the voxels around it"
+        if share <= _LEAST_SET:
+            return
+    raise StapeskitError.of(
+        "the scan",
+        "one that shows the air around the stapes and the blur of its edges",
+        f"{got}: a program has set the background, or the field of view is as narrow as the bone",
+        next_step="Give the scan as it was reconstructed; --labels takes a segmentation of it",
+    )
+
+
+def _set_value(dark: Array, contrast: float) -> tuple[float, float]:
+    """Return the commonest of dark grey values (n,) and its share; 0 where noise, blur or clipping explain it."""
+    values, counts = np.unique(dark, return_counts=True)
+    if values.size < 2 * _BESIDE + 1:
+        return 0.0, 0.0
+    most = int(np.argmax(counts))
+    beside = np.delete(counts[max(0, most - _BESIDE) : most + _BESIDE + 1], min(most, _BESIDE))
+    away = np.abs(dark - values[most])
+    near = max(_NEAR * contrast, 1.5 * float(np.diff(values).min()))
+    at_it, in_tail = (np.count_nonzero((away > 0.0) & (away < end)) for end in (near, _TAIL * contrast))
+    natural = at_it > (_CLIPPED if most == 0 else _FADING) * (in_tail - at_it)
+    if natural or counts[most] < _PILED * beside.mean():
+        return 0.0, 0.0
+    return float(values[most]), float(counts[most] / dark.size)

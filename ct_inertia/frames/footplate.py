@@ -23,6 +23,7 @@ _DIRECTIONS = 1200  # over the sphere: 6 degrees apart
 _CELL = 0.02  # edge of the cells that pool triangles, in diameters of the body: a quarter of the face's slab
 _CONE_DEG = calibrated("footplate.search_cone_deg")
 _SLAB = calibrated("footplate.search_slab")
+_LEAST_HEIGHT = 0.5  # of a body above its footplate, in its diameters: stapedes have 0.65 to 0.8, sides 0.3
 _OTHER_DEG = 40.0  # faces whose normals are nearer belong to one
 _RIVAL = 0.85  # of the area of the largest face: another one from there on is reported
 _LEAST_RIVAL = 0.5  # of the largest area, from which landmarks may choose another face
@@ -179,7 +180,7 @@ def extremal_faces(surface: Surface, extent_mm: float) -> list[tuple[Array, floa
     -----
     For directions spread evenly over the sphere: the projected area of what faces that direction within a
     cone and lies within a slab of the extreme plane. Side views of the arch, the head and the lateral side
-    of the footplate score less: narrow, small, or not at an extremity.
+    of the footplate score less: narrow, small, or not at an extremity; and a body is flat along its sides.
     """
     pieces = _pooled(surface, _CELL * extent_mm)
     directions = sphere(_DIRECTIONS)
@@ -190,7 +191,8 @@ def extremal_faces(surface: Surface, extent_mm: float) -> list[tuple[Array, floa
         best = int(np.argmax(np.where(free, scores, -1.0)))
         faces.append((directions[best], float(scores[best])))
         free &= directions @ directions[best] < np.cos(np.radians(_OTHER_DEG))
-    return faces
+    high = [face for face in faces if np.ptp(surface.vertices_mm @ face[0]) > _LEAST_HEIGHT * extent_mm]
+    return high or faces
 
 
 def _scores(directions: Array, pieces: tuple[Array, Array, Array], extent_mm: float) -> Array:

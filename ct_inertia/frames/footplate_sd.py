@@ -27,8 +27,9 @@ from stapeskit.frames import vector_from_rotation
 _SI = np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])
 _COSINE = float(np.cos(np.radians(FACE_ANGLE_DEG)))
 _SINE = float(np.sin(np.radians(FACE_ANGLE_DEG)))
-_SECTORS = 12  # of the rim: each some tenths of a millimetre long
+_SECTORS, _SIDES = 12, 4  # of the rim: each some tenths of a millimetre long; its long sides and its ends
 _LEAST_CURVATURE = 0.2  # 1/mm: a rim that bends less is none
+_ALL_OF_BLUR = 0.5  # of its variance times the curvature of an edge: the shift of a blurred edge (Taylor)
 _EDGE_LEFT = calibrated("footplate.edge_left")
 _LONG_AXIS_LEFT_RAD = calibrated("footplate.long_axis_left_rad")
 _HEIGHT_LEFT_MM = calibrated("footplate.height_left_mm")
@@ -49,7 +50,7 @@ def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Arra
     Notes
     -----
     Edges that a blur of covariance C hides err by a share of n^T C n times their curvature, each part of the
-    rim by itself. What one more step of diffusion changes shows how sensitive this shape is to its scale. A
+    rim by itself; coarse slices blur one direction more, on whole sides of the rim. What one more step of diffusion changes shows how sensitive this shape is to its scale. A
     mesh of unknown origin may have been cut from a blurred picture: that blur is taken back as a trial. Bends
     of real bone that the scale of the normals leaves turn the plane by a height over its half extent.
     """
@@ -59,7 +60,7 @@ def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Arra
     parts = {"noise": influence.noise(max(shown_noise(solved), known))}
     if body is None:
         blur = _MESH_BLUR * min(region.edge_mm, _MOST_TRIANGLE_MM)
-        spread, left = blur**2 * np.eye(3), 0.5  # all of what blur does
+        spread, left = blur**2 * np.eye(3), _ALL_OF_BLUR
         trial = _displacement(solved, solve(region.sharpened(blur), y_axis))
         parts["blur"] = np.outer(trial, trial)
     else:
@@ -69,7 +70,9 @@ def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Arra
             parts["misfit"] = influence.misfit(body)
     across = np.einsum("si,ij,sj->s", influence.outward, spread, influence.outward)
     curvature = np.minimum(influence.curvature, 1.0 / np.sqrt(across))
-    parts["edges"] = influence.sectors(left * across * curvature)
+    even = float(np.linalg.eigvalsh(spread)[0])
+    parts["edges"] = influence.sectors(left * even * curvature)
+    parts["edges"] += influence.sectors(_ALL_OF_BLUR * (across - even) * curvature, _SIDES)
     parts["edges"][4, 4] += (_LONG_AXIS_LEFT_RAD * influence.roundness) ** 2
     parts["edges"][[3, 5], [3, 5]] += (_HEIGHT_LEFT_MM / influence.extent[[2, 0]]) ** 2
     smoother = solve(region, y_axis, unit(region.diffusion.step(region.normals)))
@@ -158,7 +161,7 @@ class Influence:
         """Return what shifts of the rim of a line density (s,), mm3, add, (6, 6), SI."""
         return _to_si((self.rims * (self.lengths * density)[:, None]).T @ self.rims)
 
-    def sectors(self, shift_mm: Array) -> Array:
+    def sectors(self, shift_mm: Array, count: int = _SECTORS) -> Array:
         """Return what shifts of the rim (s,), mm, that are common to a sector of it add, (6, 6), SI.
 
         Notes
@@ -169,8 +172,8 @@ class Influence:
         steps = self.rims * (shift_mm * self.lengths)[:, None]
         along, across = self.flat.T
         angle = np.arctan2(across / np.ptp(across), along / np.ptp(along))
-        sector = np.floor(angle / (2.0 * np.pi) * _SECTORS).astype(int) % _SECTORS
-        parts = np.array([steps[sector == k].sum(axis=0) for k in range(_SECTORS)])
+        sector = np.floor(angle / (2.0 * np.pi) * count + 0.5).astype(int) % count
+        parts = np.array([steps[sector == k].sum(axis=0) for k in range(count)])
         return _to_si(parts.T @ parts)
 
     def misfit(self, body: BodySurface) -> Array:

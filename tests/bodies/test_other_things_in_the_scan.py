@@ -5,16 +5,22 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import tifffile
+from scipy.ndimage import binary_dilation
 
 from ct_inertia.api import ct2mass
+from ct_inertia.find.choose import Search
 from ct_inertia.find.find import find_stapes
+from ct_inertia.frames.anatomy import AnatomyHints
+from ct_inertia.frames.footplate import footplate_frame
 from ct_inertia.frames.plate_frame import plate_frame
 from ct_inertia.grey.measure import measure
 from ct_inertia.scan.scan import Scan
+from ct_inertia.surface.contour import contour
 from simulate.ear import Ear
 from simulate.scanner import Scan as Scanner
 from simulate.scanner import render
 from simulate.solids import box, ellipsoid, ring
+from stapeskit.faults import StapeskitError
 from stapeskit.registration import displacement
 from tests.bodies.body_scenes import true_moments
 
@@ -81,3 +87,57 @@ def test_a_drop_of_glue_on_the_head_is_subtracted_and_named():
     assert "soft_surroundings" in {notice.code for notice in found.notices}
     exact = true_moments(placed).volume_mm3
     assert abs(found.moments.volume_mm3 - exact) < 4e-3 * exact
+
+
+@pytest.mark.parametrize(("below", "value"), [(10_000, 0), (7_000, 0), (12_000, 4_000), (10_000, 15_000)])
+def test_a_background_that_was_set_to_a_constant_is_refused(below, value):
+    scan, _ = scanned()
+    grey = scan.read()
+    grey[grey < below] = value
+    with pytest.raises(StapeskitError) as error:
+        find_stapes(Scan.from_array(grey, scan.spacing_mm))
+    assert error.value.faults[0].thing == "the scan"
+    assert error.value.faults[0].expected.startswith("one that shows the air")
+
+
+@pytest.mark.parametrize("value", [0, 4_000, 60_000])
+def test_a_background_set_beyond_the_blur_of_the_bone_changes_nothing(value):
+    scan, placed = scanned(plate=False)
+    grey = scan.read()
+    grey[~binary_dilation(grey > 19_000, iterations=6)] = value
+    found, exact = measure(find_stapes(Scan.from_array(grey, scan.spacing_mm))).moments, true_moments(placed)
+    assert abs(found.volume_mm3 - exact.volume_mm3) < 3.0 * found.volume_sd_mm3
+    assert found.volume_sd_mm3 < 2e-3 * exact.volume_mm3
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_blank_slices_across_a_named_stapes_are_refused(count):
+    scan, placed = scanned(plate=False)
+    grey, seed = scan.read(), placed.scan_from_footplate.points(np.array([0.0, 0.1, 0.0]))
+    middle = int(scan.index_points(true_moments(placed).centroid_mm)[2])
+    grey[middle : middle + count] = 0
+    with pytest.raises(StapeskitError) as error:
+        find_stapes(Scan.from_array(grey, scan.spacing_mm), Search(seed_mm=seed))
+    assert error.value.faults[0].expected == "without blank slices in the stapes"
+
+
+def test_a_slice_that_repeats_the_one_before_is_reported():
+    scan, placed = scanned(plate=False)
+    assert "slices_out_of_place" not in {notice.code for notice in find_stapes(scan).notices}
+    grey, middle = scan.read(), int(scan.index_points(true_moments(placed).centroid_mm)[2])
+    grey[middle] = grey[middle - 1]
+    found = find_stapes(Scan.from_array(grey, scan.spacing_mm))
+    assert found.box.repeated == (middle,)
+    assert "slices_out_of_place" in {notice.code for notice in found.notices}
+
+
+@pytest.mark.parametrize(("upright", "seed"), [("z", 2), ("y", 2), ("x", 1)])
+def test_slices_three_times_coarser_than_pixels_are_in_the_uncertainty_of_the_pose(upright, seed):
+    """The stated deviation held errors of up to 20; and the side of the arch was taken for a footplate."""
+    scanner = Scanner(voxel_um=(30.0, 30.0, 90.0), noise=0.03, tilt_deg=30.0, upright=upright, seed=seed)
+    placed = scanner.placed(Ear(bone=False, plate=False))
+    body = measure(find_stapes(Scan.from_array(render(placed, scanner), placed.voxel_mm))).surface
+    hints = AnatomyHints(placed.scan_from_footplate.rotation[:, 0])
+    frame = footplate_frame(contour(body.field, body.scan_from_index), hints, body)
+    step = displacement(placed.scan_from_footplate, frame.scan_from_footplate)
+    assert np.abs(step / np.sqrt(np.diag(frame.covariance))).max() < 4.0
