@@ -28,8 +28,7 @@ from ct_inertia.results import MassResult
 from ct_inertia.surface.contour import contour
 from ct_inertia.surface.matched import moment_matched
 from ct_inertia.surface.surface import Surface
-from ct_inertia.voxels.masks import return_memory
-from stapeskit.arrays import Array
+from stapeskit.arrays import Array, return_memory
 from stapeskit.command import no_progress
 from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
 from stapeskit.warnings import Notice, once

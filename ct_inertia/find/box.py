@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -102,7 +103,7 @@ def _repeated_slices(scan: Scan, z: slice, y: slice, x: slice) -> tuple[int, ...
     blank = np.all(values == values[:, :1, :1], axis=(1, 2))
     least = _CRUS_MM2 / float(np.prod(2.0 * scan.spacing_mm[:2]))
     seen = np.flatnonzero(~blank)
-    for before, behind in zip(seen[:-1], seen[1:], strict=True):
+    for before, behind in pairwise(seen):
         lost = values[before + 1].flat[0]
         both = (values[before] != lost) & (values[behind] != lost)
         if behind > before + 1 and np.count_nonzero(both) > least:

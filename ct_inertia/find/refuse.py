@@ -1,4 +1,4 @@
-"""Why a scan is refused: no stapes, a wrong unit, inverted grey values, a cut body, a background set by hand."""
+"""Why a scan is refused: no stapes, a wrong unit, inverted or set grey values, a body that is cut."""
 
 from __future__ import annotations
 
@@ -193,7 +193,7 @@ def check_background(box: Box, stapes: Mask, bodies: Mask, air: float, bone: flo
 
 
 def _set_value(dark: Array, contrast: float) -> tuple[float, float]:
-    """Return the commonest of dark grey values (n,) and its share; 0 where noise, blur or clipping explain it."""
+    """Return the commonest of dark values (n,) and its share; 0 where noise, blur or clipping explain it."""
     values, counts = np.unique(dark, return_counts=True)
     if values.size < 2 * _BESIDE + 1:
         return 0.0, 0.0

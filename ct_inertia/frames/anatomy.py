@@ -139,7 +139,7 @@ def _votes(
             raise StapeskitError.of("--anterior", expected, got, next_step=step)
         if angle > _WEAK_DEG:
             text = f"--anterior is {angle:.0f} degrees off the long axis of the footplate; its sign is weak."
-            notices.append(Notice("anterior_not_given", text))
+            notices.append(Notice("anterior_weak", text))
         votes.append((float(np.sign(hints.anterior @ x_axis)), "--anterior"))
     up = {"left": 1.0, "right": -1.0}.get(hints.side or "")
     senses = {"anterior": 1.0, "posterior": -1.0, "superior": up, "inferior": None if up is None else -up}

@@ -129,9 +129,10 @@ def solve_at(surface: Surface, outward: Array, extent_mm: float, body: BodySurfa
     """
     depth = max(_DEPTH_MM, 0.15 * extent_mm)
     while True:
-        solved = solve(region_around(surface, outward, depth, body), -outward)
-        if not solved.face.reaches_end:
-            return solved
+        region = region_around(surface, outward, depth, body)
+        face, y_axis = _fixed_point(region, -outward, region.normals)
+        if not face.reaches_end:
+            return _with_axes(region, face, y_axis)
         if depth > extent_mm:
             raise no_face("a face with an open outline")
         depth *= _DEEPER
@@ -156,22 +157,19 @@ def region_around(surface: Surface, outward: Array, depth_mm: float, body: BodyS
 
 
 def solve(region: Region, y_axis: Array, normals: Array | None = None) -> Solved:
-    """Iterate face -> plane -> direction to the fixed point; the sign of x is left open.
+    """Iterate face -> plane -> direction to the fixed point, from a y axis (3,); the sign of x is left open.
 
-    Parameters
-    ----------
-    region : Region
-    y_axis : ndarray, (3,)
-        Where to begin.
-    normals : ndarray, (n, 3), optional
-        Other normals than those of the definition.
+    ``normals`` (n, 3): others than those of the definition.
 
     Raises
     ------
     StapeskitError
-        No part of the region looks that way.
+        No part of the region looks that way, or it has no edge: its outline has no long axis.
     """
-    field = region.normals if normals is None else normals
+    return _with_axes(region, *_fixed_point(region, y_axis, region.normals if normals is None else normals))
+
+
+def _fixed_point(region: Region, y_axis: Array, field: Array) -> tuple[Face, Array]:
     cosine = float(np.cos(np.radians(FACE_ANGLE_DEG)))
     cone = Cone.of(region, field, y_axis, cosine)
     for _ in range(_ROUNDS):
@@ -180,7 +178,10 @@ def solve(region: Region, y_axis: Array, normals: Array | None = None) -> Solved
             break
         if np.linalg.norm(y_axis - cone.y_axis) > _CONE_TURN:
             cone = Cone.of(region, field, y_axis, cosine)
-    face = cone.face(y_axis, cosine, border=True)
+    return cone.face(y_axis, cosine, border=True), y_axis
+
+
+def _with_axes(region: Region, face: Face, y_axis: Array) -> Solved:
     moments, across = _outline_moments(face, y_axis)
     values, vectors = np.linalg.eigh(moments)
     x_axis = unit(across @ vectors[:, 1])
@@ -216,8 +217,6 @@ def _outline_moments(face: Face, y_axis: Array) -> tuple[Array, Array]:
     first = unit(np.cross(y_axis, np.eye(3)[int(np.argmin(np.abs(y_axis)))]))
     across = np.column_stack([first, np.cross(first, y_axis)])
     if len(face.outline) < 3:
-        if face.reaches_end:  # a deeper region will be cut
-            return np.eye(2), across
         raise no_face("a face at its end that bends away without an edge")
     u, v = ((face.outline - face.centroid) @ across).T
     u2, v2 = np.roll(u, -1), np.roll(v, -1)

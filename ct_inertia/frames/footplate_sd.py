@@ -50,9 +50,10 @@ def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Arra
     Notes
     -----
     Edges that a blur of covariance C hides err by a share of n^T C n times their curvature, each part of the
-    rim by itself; coarse slices blur one direction more, on whole sides of the rim. What one more step of diffusion changes shows how sensitive this shape is to its scale. A
-    mesh of unknown origin may have been cut from a blurred picture: that blur is taken back as a trial. Bends
-    of real bone that the scale of the normals leaves turn the plane by a height over its half extent.
+    rim by itself; coarse slices blur one direction more, on whole sides of the rim. What one more step of
+    diffusion changes shows how sensitive this shape is to its scale. A mesh of unknown origin may have been
+    cut from a blurred picture: that blur is taken back as a trial. Bends of real bone that the scale of the
+    normals leaves turn the plane by a height over its half extent.
     """
     region, y_axis = solved.region, solved.axes[:, 1]
     influence = Influence(solved)

@@ -22,7 +22,7 @@ from ct_inertia.grey.separation import bone_border
 from ct_inertia.grey.start import start
 from ct_inertia.grey.storing import storing_around
 from ct_inertia.voxels.fields import Grey
-from ct_inertia.voxels.masks import return_memory
+from stapeskit.arrays import return_memory
 
 
 def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:

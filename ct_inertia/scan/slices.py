@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.scan.stored import Stored, by_planes, native, note_gaps, numbered
+from ct_inertia.scan.numbers import note_gaps, numbered
+from ct_inertia.scan.stored import Stored, by_planes, native
 from ct_inertia.scan.tiff import describe_slice, listening
 from stapeskit.faults import StapeskitError
 

@@ -13,14 +13,13 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.scan.numbers import note_gaps, numbered
 from ct_inertia.scan.place import believed_spacing, is_printer_resolution, mm_per_unit
 from ct_inertia.scan.stored import (
     Stored,
     beside,
     by_planes,
     native,
-    note_gaps,
-    numbered,
     several_values,
     unpack_once,
     wrong_file,

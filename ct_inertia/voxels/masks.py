@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -11,12 +9,6 @@ from numpy.typing import NDArray
 
 Mask = NDArray[np.bool_]
 Slices = tuple[slice, slice, slice]
-
-
-def return_memory() -> None:
-    """Let the C library give back what it keeps of arrays that are gone, where it is that of GNU."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def used_box(mask: NDArray[Any]) -> Slices | None:

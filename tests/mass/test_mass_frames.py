@@ -108,6 +108,15 @@ def test_without_a_hint_scan_x_decides_and_is_reported() -> None:
     assert [notice.code for notice in frame.notices] == ["anterior_not_given"]
 
 
+@pytest.mark.parametrize(("angle_deg", "codes"), [(60.0, []), (80.0, ["anterior_weak"])])
+def test_an_anterior_far_off_the_long_axis_is_weak_and_not_missing(angle_deg, codes) -> None:
+    turn = np.radians(angle_deg)
+    hints = AnatomyHints(np.cos(turn) * POSE.rotation[:, 0] + np.sin(turn) * POSE.rotation[:, 1])
+    frame = footplate_frame(surface_of(Stapes()), hints)
+    assert frame.scan_from_footplate.rotation[:, 0] @ POSE.rotation[:, 0] > 0.99
+    assert [notice.code for notice in frame.notices] == codes
+
+
 def test_hints_that_contradict_each_other_are_refused() -> None:
     hints = AnatomyHints(POSE.rotation[:, 0], {"anterior": POSE.points([-1.0, 0.0, 0.0])})
     with pytest.raises(StapeskitError) as error:
