@@ -20,7 +20,7 @@ from fitting.planned_motion import BASE_POINTS_MM, STAPES_POINTS_MM, Layout, con
 from fitting.report.kd_json import RELATIVE
 from fitting.result import KDFit
 from stapeskit.arrays import Array
-from stapeskit.option_types import Count, DofList, Kind, Positive, Range, number_where, path
+from stapeskit.option_types import Count, DofList, Kind, Positive, Range, number, path
 from stapeskit.options import Opt, Options, read_toml
 from stapeskit.records.mass_matrix import MassMatrix
 
@@ -68,9 +68,9 @@ Points = Annotated[Any, _rows(lambda table: Layout(table).determines, _POINTS, "
 Mass = Annotated[
     Path, Kind(path, "the name of a mass.json, or of an M.csv of all degrees of freedom", "FILE")
 ]
-Sd = Annotated[float, Kind(number_where(lambda value: value >= 0.0), "a number, 0 or positive", "NUMBER")]
+Sd = Annotated[float, Kind(number, "a number, 0 or positive", "NUMBER", where=lambda found: found >= 0.0)]
 Cone = Annotated[
-    float, Kind(number_where(lambda value: 1.0 <= value <= 60.0), "degrees between 1 and 60", "DEG")
+    float, Kind(number, "degrees between 1 and 60", "DEG", where=lambda found: 1.0 <= found <= 60.0)
 ]
 
 

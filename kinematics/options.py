@@ -22,7 +22,7 @@ from stapeskit.option_types import (
     Words,
     entries,
     existing,
-    number_where,
+    number,
     output_file,
     path,
     require,
@@ -68,10 +68,10 @@ FileOrNone = Annotated[
 Rules = Annotated[tuple[str, ...], Kind(_rules, "NAME=ITEMS", "NAME=ITEMS")]
 Texts = Annotated[tuple[str, ...], Kind(_texts, "BODY:POINT or BODY:POINT:BEAM", "CHANNEL")]
 Degrees = Annotated[
-    float, Kind(number_where(lambda value: 0.0 <= value <= 10.0), "degrees from 0 to 10", "NUMBER")
+    float, Kind(number, "degrees from 0 to 10", "NUMBER", where=lambda found: 0.0 <= found <= 10.0)
 ]
 Microseconds = Annotated[
-    float, Kind(number_where(lambda value: 0.0 <= value <= 100.0), "microseconds from 0 to 100", "NUMBER")
+    float, Kind(number, "microseconds from 0 to 100", "NUMBER", where=lambda found: 0.0 <= found <= 100.0)
 ]
 """Beyond these, two lasers are not one measurement: 10 degrees and 100 us are a hundred data sheets off."""
 CsvFile = Annotated[Path, output_file(".csv")]

@@ -33,6 +33,7 @@ _ALIKE = 6.0  # twice the log likelihood (20 to 1) by which causes differ that c
 _MOST_LEFT = 0.1  # of the misfit that a cause with parameters may leave where it leaves more than noise
 _FAR_BETTER = 100.0  # ratio of the sums of squares of a cause without parameters, where no sd is stated
 _ROUNDING = 1e-24  # keeps the ratios of exact data finite
+_UNITS = {"m": 1000.0, "inches": 25.4, "cm": 10.0, "um": 1e-3}  # mm
 
 
 @dataclass(frozen=True)
@@ -108,9 +109,10 @@ def notices_of(pairs: Pairs) -> list[Notice]:
     Raises
     ------
     StapeskitError
-        Names are exchanged, one of the frames is left-handed, or residuals exceed a millimetre.
+        Sizes differ, names are exchanged, a frame is left-handed, or residuals exceed a millimetre.
     """
     notices, count = [], len(pairs)
+    _check_units(pairs)
     if pairs.coplanar:
         why = f"all fiducials within {pairs.flat_mm:.3g} mm of one plane"
         why = f"only {count} fiducials" if count < 4 else why
@@ -133,6 +135,26 @@ def notices_of(pairs: Pairs) -> list[Notice]:
     elif count > 3 and size > _CONSPICUOUS * _NOTICEABLE_MM:
         words = words or f"the coordinates of the fiducials scatter by {size:.2g} mm; {why}"
     return [*notices, Notice("fiducials_inconsistent", f"{words}.")] if words else notices
+
+
+def _check_units(pairs: Pairs) -> None:
+    """Refuse points of the same shape whose sizes differ by a factor beyond 1.5."""
+    scale, left = _scale(pairs)
+    centred = pairs.target_mm - np.average(pairs.target_mm, axis=0, weights=pairs.weights)
+    if 1.0 / 1.5 < scale < 1.5 or left > 0.01 * np.sum(pairs.weights[:, None] * centred**2):
+        return
+    readings = [
+        f"the {frame} coordinates seem to be in {unit}"
+        for frame, seen in ((pairs.source, 1.0 / scale), (pairs.to, scale))
+        for unit, factor in _UNITS.items()
+        if abs(seen * factor - 1.0) < 0.2
+    ]
+    raise StapeskitError.of(
+        f"the fiducials of the {pairs.source} and {pairs.to} frames",
+        "both in mm, with the same distances between them",
+        f"distances that are {1.0 / scale:.4g} times as large in the {pairs.source} frame",
+        next_step=f"Give mm: {' or '.join(readings)}" if readings else "Check which is which, and the units",
+    )
 
 
 def _best_cause(pairs: Pairs) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.faults import StapeskitError
 
 _ROTATION_TOLERANCE = 1e-6  # matrices written with seven digits pass
 
@@ -48,22 +48,6 @@ def vector_from_rotation(rotation: ArrayLike) -> Array:
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
-def transform_faults(matrix: Array, name: str) -> list[Fault]:
-    """List what keeps a matrix called ``name`` from being a proper rigid transform; empty when it is one."""
-    if matrix.shape != (4, 4) or not np.all(np.isfinite(matrix)):
-        return [Fault(name, "a finite 4x4 matrix", f"shape {matrix.shape}, or NaN or infinity")]
-    if np.max(np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0])) > _ROTATION_TOLERANCE:
-        return [Fault(f"the last row of {name}", "0, 0, 0, 1", matrix[3].tolist())]
-    rotation = matrix[:3, :3]
-    if np.max(np.abs(rotation @ rotation.T - np.eye(3))) > _ROTATION_TOLERANCE:
-        step = "Give a rigid transform without scale or shear"
-        return [Fault(f"the rotation of {name}", "orthonormal", rotation.tolist(), "", step)]
-    if np.linalg.det(rotation) < 0.0:
-        step = "Undo the mirrored axis with --mirror x, y or z"
-        return [Fault(name, "right-handed (determinant +1)", "a reflection", "", step)]
-    return []
-
-
 @dataclass(frozen=True)
 class RigidTransform:
     """A proper rigid transform ``to_from_source``, (4, 4): rotation without unit, translation in mm.
@@ -79,8 +63,20 @@ class RigidTransform:
     source: str
 
     def __post_init__(self) -> None:
-        matrix = np.array(self.matrix, dtype=float)
-        raise_all(transform_faults(matrix, f"{self.to}_from_{self.source}"))
+        matrix, name = np.array(self.matrix, dtype=float), f"{self.to}_from_{self.source}"
+        if matrix.shape != (4, 4) or not np.all(np.isfinite(matrix)):
+            got = f"shape {matrix.shape}, or NaN or infinity"
+            raise StapeskitError.of(name, "a finite 4x4 matrix", got)
+        if np.max(np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0])) > _ROTATION_TOLERANCE:
+            raise StapeskitError.of(f"the last row of {name}", "0, 0, 0, 1", matrix[3].tolist())
+        rotation = matrix[:3, :3]
+        if np.max(np.abs(rotation @ rotation.T - np.eye(3))) > _ROTATION_TOLERANCE:
+            step = "Give a rigid transform without scale or shear"
+            thing, got = f"the rotation of {name}", str(rotation.tolist())
+            raise StapeskitError.of(thing, "orthonormal", got, "", step)
+        if np.linalg.det(rotation) < 0.0:
+            step = "Undo the mirrored axis with --mirror x, y or z"
+            raise StapeskitError.of(name, "right-handed (determinant +1)", "a reflection", "", step)
         matrix.setflags(write=False)
         object.__setattr__(self, "matrix", matrix)
 

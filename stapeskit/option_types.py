@@ -21,17 +21,20 @@ _SPAN = re.compile(r"\s*([+\d.][\d.]*(?:[eE][+-]?\d+)?)\s*[-,]\s*(-?[\d.]+(?:[eE
 
 @dataclass(frozen=True)
 class Kind:
-    """How a value is read (ValueError where it cannot be), and what it must be: ``--box must be ...``.
+    """How a value is read (ValueError where it cannot be), and what it must be: ``--box must be ...``."""
 
-    ``metavar`` is its placeholder in the help; ``step`` what to do about an unfit one, by default an example;
-    ``is_path`` says that it names files that are read: relative ones start at the folder of a TOML file.
-    """
-
-    read: Callable[[Any], Any]
+    reader: Callable[[Any], Any]
     expected: str
-    metavar: str = "VALUE"
-    step: str = ""
-    is_path: bool = False
+    metavar: str = "VALUE"  # placeholder in the help
+    step: str = ""  # what to do about an unfit one; by default an example is shown
+    is_path: bool = False  # names files that are read: relative ones start at the folder of a TOML file
+    where: Callable[[Any], object] = lambda _: True  # what else must hold of the value that was read
+
+    def read(self, value: Any) -> Any:
+        """Return the value out of what was given."""
+        found = self.reader(value)
+        require(self.where(found))
+        return found
 
     def fits(self, value: Any) -> bool:
         """Return whether a value can be read."""
@@ -62,17 +65,6 @@ def require(condition: object) -> None:
         raise ValueError
 
 
-def limited(read: Callable[[Any], Any], fits: Callable[[Any], object]) -> Callable[[Any], Any]:
-    """Return a reader that also requires a condition of the value it has read."""
-
-    def read_limited(value: Any) -> Any:
-        found = read(value)
-        require(fits(found))
-        return found
-
-    return read_limited
-
-
 def each(read: Callable[[Any], Any], split: Callable[[Any], list[Any]]) -> Callable[[Any], tuple[Any, ...]]:
     """Return the reader of several values, which `entries` or `rows` separates."""
     return lambda value: tuple(read(entry) for entry in split(value))
@@ -98,11 +90,6 @@ def number(value: Any) -> float:
     return result
 
 
-def number_where(fits: Callable[[float], object]) -> Callable[[Any], float]:
-    """Return the reader of a number within limits."""
-    return limited(number, fits)
-
-
 def numbers(value: Any, *counts: int) -> tuple[float, ...]:
     """Read as many numbers as one of the counts says, from a comma list or a sequence."""
     parts = value.split(",") if isinstance(value, str) else value
@@ -110,15 +97,10 @@ def numbers(value: Any, *counts: int) -> tuple[float, ...]:
     return tuple(number(part) for part in parts)
 
 
-def _same(value: Any) -> Any:
-    return value
-
-
 def one_of(choices: tuple[Any, ...]) -> Kind:
     """Return the kind of a word out of some."""
-    return Kind(
-        limited(_same, lambda value: value in choices), f"one of {', '.join(choices)}", "|".join(choices)
-    )
+    expected, metavar = f"one of {', '.join(choices)}", "|".join(choices)
+    return Kind(lambda value: value, expected, metavar, where=lambda value: value in choices)
 
 
 def text(value: Any) -> str:
@@ -153,16 +135,17 @@ def output_file(suffix: str) -> Kind:
         found = path(value)
         return found if found.suffix.lower() == suffix else found.with_name(found.name + suffix)
 
-    no_folder = limited(read, lambda found: not found.is_dir())
-    return Kind(no_folder, f"a file name that ends with {suffix}", f"FILE{suffix}")
+    expected = f"a file name that ends with {suffix}"
+    return Kind(read, expected, f"FILE{suffix}", where=lambda found: not found.is_dir())
 
 
 # ---- readers of the kinds below
 
 
-def _whole(least: int) -> Callable[[Any], int]:
-    exact = limited(number, lambda value: value == int(value) and value >= least)
-    return lambda value: int(exact(value))
+def _whole(value: Any) -> int:
+    found = number(value)
+    require(found == int(found))
+    return int(found)
 
 
 def _with_sd(value: Any) -> WithSd:
@@ -237,21 +220,23 @@ _MASSES = "point masses x, y, z, mg or x, y, z, mg+-sd in mm and mg, the mass po
 _DOF = f"all, or a list of different names out of {', '.join(DOF_NAMES)}"
 
 Number = Annotated[float, Kind(number, "a number", "NUMBER")]
-Positive = Annotated[float, Kind(number_where(lambda value: value > 0.0), "a positive number", "NUMBER")]
-Percent = Annotated[float, Kind(number_where(lambda value: 0.0 <= value < 50.0), _PERCENT, "PERCENT")]
-Count = Annotated[int, Kind(_whole(1), "a whole number, 1 or more", "N")]
-CountOrZero = Annotated[int, Kind(_whole(0), "a whole number, 0 or more", "N")]
-Flag = Annotated[bool, Kind(limited(_same, lambda value: isinstance(value, bool)), "true or false", "")]
+Positive = Annotated[float, Kind(number, "a positive number", "NUMBER", where=lambda found: found > 0.0)]
+Percent = Annotated[float, Kind(number, _PERCENT, "PERCENT", where=lambda found: 0.0 <= found < 50.0)]
+Count = Annotated[int, Kind(_whole, "a whole number, 1 or more", "N", where=lambda found: found >= 1)]
+CountOrZero = Annotated[int, Kind(_whole, "a whole number, 0 or more", "N", where=lambda found: found >= 0)]
+Flag = Annotated[
+    bool, Kind(lambda value: value, "true or false", "", where=lambda value: isinstance(value, bool))
+]
 Text = Annotated[str, Kind(text, "text", "TEXT")]
 Words = Annotated[tuple[str, ...], Kind(_words, "names separated by commas", "LIST")]
 Table = Annotated[dict[str, Any], Kind(_table, "a table of numbers and texts", "TABLE")]
 PositiveWithSd = Annotated[
-    WithSd, Kind(limited(_with_sd, lambda found: found.value > 0.0), _WITH_SD, "VALUE[+-SD]")
+    WithSd, Kind(_with_sd, _WITH_SD, "VALUE[+-SD]", where=lambda found: found.value > 0.0)
 ]
 ZeroOrWithSd = Annotated[WithSd, Kind(_with_sd, f"0, {_WITH_SD}", "VALUE[+-SD]")]
 Spacing = Annotated[tuple[float, ...], Kind(_spacing, _SPACING, "H|DX,DY,DZ")]
 Point = Annotated[tuple[float, ...], Kind(_point, "three numbers x, y, z", "X,Y,Z")]
-Direction = Annotated[tuple[float, ...], Kind(limited(_point, any), _DIRECTION, "X,Y,Z")]
+Direction = Annotated[tuple[float, ...], Kind(_point, _DIRECTION, "X,Y,Z", where=any)]
 Box = Annotated[tuple[float, ...], Kind(_box, _CORNERS, "X0,Y0,Z0,X1,Y1,Z1")]
 Range = Annotated[tuple[float, float], Kind(_range, _SPAN_WORDS, "F1,F2")]
 Ranges = Annotated[
@@ -260,7 +245,7 @@ Ranges = Annotated[
 Masses = Annotated[tuple[tuple[float, ...], ...], Kind(each(_point_mass, rows), _MASSES, "X,Y,Z,MG[+-SD]")]
 ReadFile = Annotated[Path, Kind(existing, _FILE, "FILE", _CHECK, is_path=True)]
 ReadFiles = Annotated[
-    tuple[Path, ...], Kind(limited(each(existing, entries), any), _FILE, "FILE", _CHECK, is_path=True)
+    tuple[Path, ...], Kind(each(existing, entries), _FILE, "FILE", _CHECK, is_path=True, where=any)
 ]
 Folder = Annotated[Path, Kind(path, "a folder", "DIR")]
 DofList = Annotated[tuple[str, ...], Kind(_dof, _DOF, "LIST", "Write for example y,alpha,gamma")]

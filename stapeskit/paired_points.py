@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from itertools import combinations
-
 import numpy as np
 
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import cross_matrix
-
-_UNITS = {"m": 1000.0, "inches": 25.4, "cm": 10.0, "um": 1e-3}  # mm
 
 
 def kabsch(source_mm: Array, target_mm: Array, weights: Array) -> tuple[Array, Array]:
@@ -40,15 +36,8 @@ def pose_rows(points_m: Array) -> Array:
     return np.stack([np.hstack([np.eye(3), -cross_matrix(point)]) for point in points_m])
 
 
-def check_pairs(source_mm: Array, target_mm: Array, source: str, to: str) -> None:
-    """Refuse points that cannot be paired.
-
-    Raises
-    ------
-    StapeskitError
-        Fewer than 3 points, points on a line, numbers that are not finite, or distances that all differ by
-        one factor beyond 1.5.
-    """
+def check_pairs(source_mm: Array, target_mm: Array) -> None:
+    """Refuse points that cannot be paired: fewer than 3, on a line, or with numbers that are not finite."""
     shape = source_mm.shape
     if source_mm.ndim != 2 or shape[1:] != (3,) or shape != target_mm.shape or len(source_mm) < 3:
         got = f"{len(source_mm)} and {len(target_mm)} points"
@@ -61,26 +50,3 @@ def check_pairs(source_mm: Array, target_mm: Array, source: str, to: str) -> Non
         if size[1] < 1e-3 * size[0] or size[0] == 0.0:
             want, step = "spread over a plane, not along a line", "Add a fiducial off the line"
             raise StapeskitError.of("fiducials", want, "points on one line", "", step)
-    first, second = np.array(list(combinations(range(len(source_mm)), 2))).T
-    apart, known = (np.linalg.norm(part[first] - part[second], axis=1) for part in (source_mm, target_mm))
-    ratios = apart / np.maximum(known, 1e-300)
-    ratio = float(np.median(ratios))
-    alike = np.mean(np.abs(ratios / ratio - 1.0) < 0.1) > 0.8
-    if alike and not 1.0 / 1.5 < ratio < 1.5:
-        raise StapeskitError.of(
-            f"the fiducials of the {source} and {to} frames",
-            "both in mm, with the same distances between them",
-            f"distances that are {ratio:.4g} times as large in the {source} frame",
-            next_step=_unit_step(ratio, source, to) or "Check which fiducial is which, and the units",
-        )
-
-
-def _unit_step(ratio: float, source: str, to: str) -> str:
-    """Name the unit that makes sizes differ by a ratio; empty where none does."""
-    readings = {
-        f"the {frame} coordinates seem to be in {unit}": seen * factor
-        for frame, seen in ((source, ratio), (to, 1.0 / ratio))
-        for unit, factor in _UNITS.items()
-    }
-    fitting = " or ".join(words for words, left in readings.items() if abs(left - 1.0) < 0.2)
-    return f"Give mm: {fitting}" if fitting else ""

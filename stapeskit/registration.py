@@ -91,7 +91,7 @@ def fit_rigid(
     and residuals too large for them (p < 0.001) the covariance grows with chi2 / n_dof.
     """
     first, second = np.asarray(source_mm, dtype=float), np.asarray(target_mm, dtype=float)
-    check_pairs(first, second, source, to)
+    check_pairs(first, second)
     labels = tuple(names) or tuple(str(place + 1) for place in range(len(first)))
     sd = np.array(np.broadcast_to(1.0 if sd_mm is None else np.asarray(sd_mm, dtype=float), len(first)))
     if not np.all((sd > 0.0) & np.isfinite(sd)):

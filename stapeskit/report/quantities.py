@@ -117,14 +117,13 @@ _SHOWN = {
 class Quantity:
     """A cell of a table: an SI value, its sd where it is known, and the unit in which people see it.
 
-    ``interval_95`` are SI limits where they are not the value ± 1.96 standard deviations. Of a value that
-    cannot be negative (``positive``) they are those of its logarithm; below its sd it is undetermined.
+    The limits of a value that cannot be negative (``positive``) are those of its logarithm; below its sd it
+    is undetermined.
     """
 
     value: float
     sd: float | None = None
     unit: ShownUnit = PLAIN
-    interval_95: tuple[float, float] | None = None
     positive: bool = False
 
     def __str__(self) -> str:
@@ -151,13 +150,13 @@ class Quantity:
     @property
     def limits(self) -> tuple[float, float] | None:
         """Limits of the 95 % interval in the shown unit; None without one, and where it is undetermined."""
-        ends, value = self.interval_95, self.value
-        if ends is None and self.sd is not None and self.known_sd and not self.undetermined:
-            ends = value - HALF_WIDTH_95 * self.sd, value + HALF_WIDTH_95 * self.sd
-            if self.positive and value > 0.0:
-                ratio = math.exp(HALF_WIDTH_95 * self.sd / value)
-                ends = value / ratio, value * ratio
-        return None if ends is None else (self.unit.of(ends[0]), self.unit.of(ends[1]))
+        if self.sd is None or not self.known_sd or self.undetermined:
+            return None
+        value, half = self.unit.of(self.value), HALF_WIDTH_95 * self.unit.of(self.sd)
+        if self.positive and value > 0.0:
+            ratio = math.exp(half / value)
+            return value / ratio, value * ratio
+        return value - half, value + half
 
     @property
     def interval(self) -> str:

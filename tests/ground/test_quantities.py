@@ -50,11 +50,6 @@ def test_an_interval_holds_95_percent_of_a_normal_distribution():
     np.testing.assert_allclose([lower, upper], 3.0 + 1e-2 * HALF_WIDTH_95 * np.array([-1.0, 1.0]))
 
 
-def test_a_stated_interval_replaces_the_symmetric_one():
-    quantity = Quantity(2e-6, 1e-7, quantities.MASS, (1.7e-6, 2.1e-6))
-    np.testing.assert_allclose(quantity.limits, (1.7, 2.1))
-
-
 # Factor of each prefix that a shown unit has, and the powers of mm among its factors.
 _PREFIXES = {"m": 1e-3, "µ": 1e-6}
 
