@@ -28,7 +28,7 @@ def open_raw(path: Path) -> Stored:
         "Give the header beside them (.mhd, .nhdr, .vgi, .hdr) in their place, or write one: a text file "
         f"{path.stem}.mhd of the lines ObjectType = Image, NDims = 3, DimSize = NX NY NZ, ElementType = "
         f"MET_USHORT, ElementSpacing = H H H, ElementDataFile = {path.name}; above the last one, where they "
-        "hold, HeaderSize = BYTES and ElementByteOrderMSB = True"
+        "hold, HeaderSize = BYTES and ElementByteOrderMSB = True. 8 bits are MET_UCHAR, floats MET_FLOAT"
     )
     raise StapeskitError.of("the scan", "a file with a header", "raw voxels alone", path.name, step)
 
