@@ -55,7 +55,7 @@ def test_what_lies_beside_the_measurement_is_taken_and_named(ear, tmp_path, monk
         motion.provenance["inputs"]["mass"]["document_hash"]
         == input_record(folder / "scan_mass" / "mass.json")["document_hash"]
     )
-    page = (tmp_path / "ear1.html").read_text()
+    page = (tmp_path / "ear1.html").read_text(encoding="utf-8")
     assert str(folder / "points.csv") in page
     result = points2dof(folder / "ldv.csv")
     assert set(result.taken) == {"points", "fiducials", "mass"}
@@ -107,7 +107,7 @@ def test_nothing_of_the_user_is_overwritten(ear, tmp_path):
         work([str(folder / "ldv.csv"), "--out", str(tmp_path / "dof"), "--quiet"])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dof.html"]
     work([str(folder / "ldv.csv"), "--out", str(tmp_path / "dof"), "--quiet", "--force"])
-    assert (tmp_path / "dof.html").read_text() != "mine"
+    assert (tmp_path / "dof.html").read_text(encoding="utf-8") != "mine"
     assert {path: path.read_bytes() for path in before} == before
 
 
@@ -178,7 +178,7 @@ def test_check_of_inputs_reports_all_faults_together(tmp_path):
     simulated(tmp_path, lines=12)
     check_inputs(options(tmp_path))
     points = tmp_path / "points.csv"
-    points.write_text(points.read_text().replace("x_mm", "x_m"))
+    points.write_text(points.read_text(encoding="utf-8").replace("x_mm", "x_m"))
 
     def mirrored(table):
         table["x_mm"] *= -1.0
