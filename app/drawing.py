@@ -117,8 +117,10 @@ class Drawing:
         """Whether every label is as it was found."""
         return np.array_equal(self.labels, self.found)
 
-    def paint(self, voxel: Sequence[float], pen: int, radius: int, normal: int | None = None) -> Change:
-        """Draw from the last place of this stroke to a voxel.
+    def paint(
+        self, voxel: Sequence[float], pen: int, radius: int, normal: int | None = None
+    ) -> Change | None:
+        """Draw from the last place of this stroke to a voxel; return what changed, None where nothing.
 
         Parameters
         ----------
@@ -130,11 +132,6 @@ class Drawing:
             Of the brush, voxels of the picture.
         normal : int, optional
             Axis across the slice, 0, 1 or 2, for a disc in that slice; a ball without it.
-
-        Returns
-        -------
-        Change
-            The voxels of the picture that changed.
         """
         at = np.rint(voxel)[::-1]
         last = at if self._last is None else self._last
@@ -145,16 +142,16 @@ class Drawing:
         low = np.maximum(np.minimum(at, last) - reach, 0).astype(int)
         high = np.minimum(np.maximum(at, last) + reach + 1, self._picture.shape).astype(int)
         if np.any(high <= low):
-            return _NO_CHANGE
+            return None
         box = tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
         blocks = self._blocks[box]
         drawn = _near_segment(low, high, last, at, max(radius, 0.5))
         drawn &= (blocks != pen).any(axis=(3, 4, 5))
-        if drawn.any():
-            self._stroke.append((box, blocks.copy()))
-            blocks[drawn] = pen
-        flat = self._flat(box)[drawn]
-        return Change(flat, np.full(len(flat), pen, dtype=np.uint8))
+        if not drawn.any():
+            return None
+        self._stroke.append((box, blocks.copy()))
+        blocks[drawn] = pen
+        return self._change(self._flat(box)[drawn])
 
     def end_stroke(self) -> bool:
         """End a stroke and return whether it changed something."""
@@ -163,22 +160,24 @@ class Drawing:
             self._strokes.append(stroke)
         return bool(stroke)
 
-    def undo(self) -> Change:
+    def undo(self) -> Change | None:
         """Take the last stroke back."""
         self.end_stroke()
-        stroke = self._strokes.pop() if self._strokes else []
+        if not self._strokes:
+            return None
+        stroke = self._strokes.pop()
         for box, before in reversed(stroke):
             self._blocks[box] = before
-        if not stroke:
-            return _NO_CHANGE
-        flat = np.unique(np.concatenate([self._flat(box).ravel() for box, _ in stroke]))
-        return Change(flat, self._picture[np.unravel_index(flat, self._picture.shape)])
+        return self._change(np.unique(np.concatenate([self._flat(box).ravel() for box, _ in stroke])))
 
     def reset(self) -> None:
         """Return to the labels as found; this cannot be undone."""
         self.labels[...] = self.found
         self._strokes.clear()
         self._stroke, self._last = [], None
+
+    def _change(self, flat: NDArray[np.uint32]) -> Change:
+        return Change(flat, self._picture[np.unravel_index(flat, self._picture.shape)])
 
     def _flat(self, box: Box) -> NDArray[np.uint32]:
         """Return the flat index of every voxel of a box of the picture."""
@@ -199,9 +198,6 @@ class Change:
 
     index: NDArray[np.uint32]
     values: Labels
-
-
-_NO_CHANGE = Change(np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.uint8))
 
 
 def shown_part(labels: Labels, spacing_mm: Array) -> tuple[tuple[slice, slice, slice], int]:

@@ -1,7 +1,7 @@
 """The layout of the page of `stapeskit app`, by marimo; session.py does what it offers.
 
-A widget lives as long as the cell that made it: controls that set a state do not depend on it, surfaces have
-one cell a group, and none of them depends on the clock.
+Each tab runs all of this for itself. A widget lives as long as the cell that made it: controls that set a
+state do not depend on it, and nothing that lasts depends on the clock.
 """
 
 import marimo
@@ -12,7 +12,6 @@ with app.setup:
     import shlex
     import sys
     import traceback
-    import webbrowser
     from html import escape
     from pathlib import Path
 
@@ -27,50 +26,35 @@ with app.setup:
     from ct_inertia.options import ASSUMED_DENSITY
     from fitting.options import COMPARE, DAMPING, KDOptions
     from stapeskit.command import fault_sentence
-    from stapeskit.faults import StapeskitError
     from stapeskit.report import page
 
-    def listed(*items):
-        """Lay items below each other."""
-        return mo.vstack([item for item in items if item is not None])
-
-    def beside(*items):
-        """Lay items beside each other; they wrap where the page is narrow."""
-        return mo.hstack(list(items), wrap=True, justify="start", align="end")
-
-
-@app.cell
-def state():
-    folder = Path(mo.cli_args().get("folder") or ".").absolute()
+    folder = Path(mo.cli_args()["folder"] if mo.running_in_notebook() else ".").absolute()
     session, picture = Session(StudyFile(folder / ".none.toml")), Picture()
     get_study, set_study = mo.state(0)  # counters: what depends on one is shown anew when it goes up
     get_picture, set_picture = mo.state(0)
-    get_mass, set_mass = mo.state(0)
     get_marks, set_marks = mo.state(0)
     get_results, set_results = mo.state(0)
     get_busy, set_busy = mo.state(False)
     get_point, set_point = mo.state(None)
     get_said, set_said = mo.state(("", "Choose a scan, or a study to go on with."))
-    shown = {"danger": False}
 
     def up(*setters):
+        """Show anew what depends on these states."""
         for setter in setters:
             setter(lambda count: count + 1)
 
     def attempt(action, *setters):
         """Do what a control asks for; what is wrong is shown in the library's own words."""
-        danger, text = False, None
         try:
-            text = action()
+            said = ("", action() or "")
             up(*setters)
         except Exception as error:
-            danger, text = True, fault_sentence(error)
+            text = fault_sentence(error)
             if text is None:
                 traceback.print_exc(file=sys.stderr)
                 text = "stapeskit failed here. This is a bug: please report the lines in the terminal."
-        if text or shown["danger"]:
-            set_said(("danger" if danger else "", text or ""))
-        shown["danger"] = danger
+            said = ("danger", text)
+        set_said(lambda before: said if said[1] or before[0] == "danger" else before)
 
     def button(label, action, *setters, **more):
         """Make a button; what it does may fail."""
@@ -86,66 +70,58 @@ def state():
 
         return button(label, action, kind="success")
 
-    picture.on_point = set_point
-    picture.on_stroke = lambda: attempt(session.end_stroke)
-    return (
-        attempt, button, get_busy, get_marks, get_mass, get_picture, get_point, get_results, get_said,
-        get_study, picture, session, set_busy, set_marks, set_mass, set_picture, set_results, set_said,
-        set_study, step_button, up,
-    )  # fmt: skip
+    def stated(table, key):
+        """Return what the study says."""
+        return session.study.get(table, key)
 
-
-@app.cell
-def choose(attempt, session, set_marks, set_mass, set_picture, set_results, set_study):
-    def chosen(files):
-        def action():
-            return f"{files[0].name} opened. {session.open(Path(files[0].path))}"
-
-        if files:
-            attempt(action, set_study, set_picture, set_mass, set_marks, set_results)
-
-    browser = mo.ui.file_browser(
-        initial_path=session.study.path.parent, restrict_navigation=False, selection_mode="all",
-        multiple=False, label="A scan, or a study (.toml) to go on with", on_change=chosen,
-    )  # fmt: skip
-    return (browser,)
-
-
-@app.cell
-def study_controls(attempt, session):
     def put(table, key, value):
+        """Write a key of the study."""
         attempt(lambda: session.study.put(table, **{key: value}))
 
     def as_words(value):
         """Write a value as a person types it: 900-1000, 1980-2020."""
-        parts = value if isinstance(value, list) else [value]
+        parts = value if isinstance(value, list) else [value or ""]
         return ", ".join("-".join(map(str, one)) if isinstance(one, list) else str(one) for one in parts)
 
-    def text_field(table, key, label, default="", several=False, **more):
-        """Make a field that shows a key of the study and writes it."""
-        value = session.study.get(table, key)
-
-        def typed(words):
-            put(table, key, [one for one in words.split(",") if one] if several else words)
-
-        shown_text = default if value is None else as_words(value)
-        return mo.ui.text(shown_text, label=label, on_change=typed, **more)
-
     def ticks(table, key, label):
-        """Make a list of which several can be ticked."""
+        """Make a list of which several can be ticked, and are then in a key of the study."""
         known, chosen = session.choices(table, key)
         return mo.ui.multiselect(
             known, value=chosen, label=label, full_width=True,
             on_change=lambda names: put(table, key, list(names)),
         )  # fmt: skip
 
-    return as_words, put, text_field, ticks
+    def listed(*items):
+        """Lay items below each other."""
+        return mo.vstack([item for item in items if item is not None])
+
+    def beside(*items):
+        """Lay items beside each other; they wrap where the page is narrow."""
+        return mo.hstack(list(items), wrap=True, justify="start", align="end")
+
+    picture.on_point = set_point
+    picture.on_stroke = lambda: attempt(session.end_stroke)
 
 
 @app.cell
-def scan_controls(as_words, attempt, browser, get_study, session, set_mass, set_picture, step_button):
+def choose():
+    def chosen(files):
+        def action():
+            return f"{files[0].name} opened. {session.open(Path(files[0].path))}"
+
+        if files:
+            attempt(action, set_study, set_picture, set_marks, set_results)
+
+    browser = mo.ui.file_browser(
+        initial_path=folder, restrict_navigation=False, selection_mode="all",
+        multiple=False, label="A scan, or a study (.toml) to go on with", on_change=chosen,
+    )  # fmt: skip
+    return (browser,)
+
+
+@app.cell
+def scan_controls(browser):
     get_study()
-    stated = session.study.get
 
     def typed(words):
         """Open the scan at once with what it may not say of its voxels."""
@@ -153,7 +129,7 @@ def scan_controls(as_words, attempt, browser, get_study, session, set_mass, set_
         def action():
             return session.set_spacing(words.strip() or None) or "The scan is shown with these voxels."
 
-        attempt(action, set_picture, set_mass)
+        attempt(action, set_picture, set_results)
 
     name = mo.ui.text(session.study.path.stem if session.study.text else "", label="name")
     density = mo.ui.text(str(stated("scan", "density_kg_m3") or ASSUMED_DENSITY), label="density, kg/m³")
@@ -161,7 +137,7 @@ def scan_controls(as_words, attempt, browser, get_study, session, set_mass, set_
         ["left", "right"], value=stated("study", "side") or stated("scan", "side"), label="side"
     )
     spacing = mo.ui.text(
-        as_words(stated("scan", "spacing_mm") or ""),
+        as_words(stated("scan", "spacing_mm")),
         label="voxel, mm",
         placeholder="as the scan says",
         on_change=typed,
@@ -173,7 +149,7 @@ def scan_controls(as_words, attempt, browser, get_study, session, set_mass, set_
 
 
 @app.cell
-def cut_controls(button, picture, session, step_button):
+def cut_controls():
     def back():
         session.reset()
         picture.show_all()
@@ -190,12 +166,11 @@ def cut_controls(button, picture, session, step_button):
     undo = button("Undo", lambda: picture.show_change(session.undo()))
     again, reset = step_button("Measure again", "cut"), button("Back to the cut as found", back)
     cut_step = listed(pen, beside(radius, ball), boundary, beside(undo, reset), again)
-    view = mo.ui.radio(VIEWS, value=VIEWS[0], inline=True, on_change=picture.set_view)
-    return cut_step, view
+    return (cut_step,)
 
 
 @app.cell
-def mark_controls(button, get_results, get_study, picture, session, set_marks):
+def mark_controls():
     get_study(), get_results()  # the names come from the fiducials of the study
 
     mark = mo.ui.dropdown(session.marks.names, value="anterior", label="the crosshair is at")
@@ -206,57 +181,48 @@ def mark_controls(button, get_results, get_study, picture, session, set_marks):
 
 
 @app.cell
-def measurement_controls(attempt, get_results, get_study, session, set_results, step_button, ticks):
+def measurement_controls():
     get_study(), get_results()
 
     def pick(key, label):
-        files, value = session.files(), session.study.get("ldv", key)
+        files, value = session.files(), stated("ldv", key)
         chosen = value[0] if isinstance(value, list) else value
         return mo.ui.dropdown(
             files, value=chosen if chosen in files else None, allow_select_none=True, label=label,
             on_change=lambda name: attempt(lambda: session.set_measurement(key, name), set_results),
         )  # fmt: skip
 
-    measured = session.content("points")
     measurement_step = listed(
         pick("file", "vibrometer file"), pick("points", "points"), pick("fiducials", "fiducials"),
         step_button("Look at it", "points"),
-        mo.md(tables.registration_text(measured) if measured else ""),
         ticks("ldv", "leave_out", "leave out"),
     )  # fmt: skip
-    return measured, measurement_step
+    return (measurement_step,)
 
 
 @app.cell
-def fit_controls(button, get_results, get_study, put, session, step_button, text_field, ticks):
+def fit_controls():
     get_study(), get_results()
-    keys, laws = {entry.key: entry for entry in KDOptions.entries()}, [*DAMPING, COMPARE]
-    damping = mo.ui.dropdown(
-        laws, value=session.study.get("fit", "damping") or laws[0], label="damping",
-        on_change=lambda value: put("fit", "damping", value),
-    )  # fmt: skip
+    dof = next(entry for entry in KDOptions.entries() if entry.key == "dof").default
+    laws = [*DAMPING, COMPARE]
     other = mo.ui.dropdown(session.other_results(), label="beside it", allow_select_none=True)
-
-    def show_report():
-        path = session.study.out / "report.html"
-        if not path.is_file():
-            raise StapeskitError("There is no report yet: press Fit first.")
-        webbrowser.open(path.as_uri())
-
-    report = button("Open the report", show_report)
     fit_step = listed(
-        text_field("fit", "dof", "degrees of freedom", ",".join(keys["dof"].default)),
-        damping,
-        text_field("fit", "exclude_hz", "leave out, Hz", several=True, placeholder="900-1000, 1980-2020"),
+        mo.ui.text(as_words(stated("fit", "dof") or ",".join(dof)), label="degrees of freedom",
+                   on_change=lambda words: put("fit", "dof", words)),
+        mo.ui.dropdown(laws, value=stated("fit", "damping") or laws[0], label="damping",
+                       on_change=lambda law: put("fit", "damping", law)),
+        mo.ui.text(as_words(stated("fit", "exclude_hz")), label="leave out, Hz",
+                   placeholder="900-1000, 1980-2020",
+                   on_change=lambda words: put("fit", "exclude_hz", list(filter(None, words.split(","))))),
         ticks("study", "confirmed", "checked and right"),
         step_button("Fit", "fit"),
-        beside(report, other),
-    )
+        other,
+    )  # fmt: skip
     return fit_step, other
 
 
 @app.cell
-def show_picture(attempt, get_picture, picture, session):
+def show_picture():
     get_picture()
 
     def show():
@@ -273,35 +239,25 @@ def show_picture(attempt, get_picture, picture, session):
 
 
 @app.cell
-def show_surfaces(get_mass, picture, session):
-    get_mass()
-    picture.show_surfaces(session.surfaces())
-    return
-
-
-@app.cell
-def show_marks(get_marks, picture, session):
-    get_marks()
-    placed = session.marks.placed
-    picture.show_marks(list(placed.values()))
+def show_meshes():
+    get_marks(), get_results()
+    placed, points = session.marks.placed, session.content("points").get("points", ())
+    picture.show_meshes(session.surfaces(), points, list(placed.values()))
     marks_table = mo.Html(tables.mark_table(placed)) if placed else None
     return (marks_table,)
 
 
 @app.cell
-def show_points(measured, picture):
-    picture.show_points(measured["points"] if measured else [])
+def layout_picture():
+    mo.vstack([
+        mo.ui.radio(VIEWS, value=VIEWS[0], inline=True, on_change=picture.set_view),
+        mo.ui.anywidget(picture),
+    ])  # fmt: skip
     return
 
 
 @app.cell
-def layout_picture(picture, view):
-    mo.vstack([view, mo.ui.anywidget(picture)])
-    return
-
-
-@app.cell
-def layout_point(get_point):
+def layout_point():
     _at = get_point()
     mo.md("click in a slice" if _at is None else f"scan {_at[0]:.3f}, {_at[1]:.3f}, {_at[2]:.3f} mm")
     return
@@ -322,9 +278,9 @@ def layout_side(cut_step, fit_step, marks_step, marks_table, measurement_step, s
 
 
 @app.cell
-def layout_results(attempt, get_mass, measured, other, session):
-    get_mass()
-    _parts, _fitted = [], session.content("fit")
+def layout_results(other):
+    get_results()
+    _parts, _report = [], session.report
 
     def compared():
         from pipeline.compare import compare
@@ -334,53 +290,43 @@ def layout_results(attempt, get_mass, measured, other, session):
 
     if session.mass:
         _parts.append(mo.Html(tables.mass_table(session.mass)))
-    if measured:
-        _parts.append(mo.Html(tables.beam_table(measured)))
-    if _fitted:
-        _parts.append(mo.Html(_fitted["html"]))
-        _parts.append(mo.hstack(tables.curves(_fitted["responses"]), wrap=True, justify="start"))
-        _again = f"All results: {session.study.out}. Again: scan2kd {shlex.quote(str(session.study.path))}"
-        _parts.append(mo.Html(page.text(_again)))
     if other.value:
         attempt(compared)
+    if _report is not None:
+        if _report != session.study.points:
+            _again = f"All results: {_report.parent}. Again: scan2kd {shlex.quote(str(session.study.path))}"
+            _curves = tables.curves(session.content("fit").get("responses", ()))
+            _parts += [mo.Html(page.text(_again)), mo.hstack(_curves, wrap=True, justify="start")]
+        _parts.append(mo.iframe(_report.read_text(encoding="utf-8", errors="replace"), height="90vh"))
     mo.vstack(_parts)
     return
 
 
 @app.cell
-def clock(get_busy):
+def clock():
     tick = mo.ui.refresh(default_interval=1) if get_busy() else None
     return (tick,)
 
 
 @app.cell
-def progress(get_said, session, set_busy, set_mass, set_picture, set_results, set_said, tick, up):
-    changed = {
-        "found": (set_mass, set_picture),
-        "cut": (set_mass,),
-        "points": (set_results,),
-        "fit": (set_results, set_mass),
-    }
-
+def progress(tick):
     def status():
-        kind, text = get_said()
-        job = session.job
+        (kind, text), job = get_said(), session.job
         if tick is None or job is None:
-            return kind, mo.Html(text) if text.startswith("<") else mo.Html(page.text(text))
+            return kind, text if text.startswith("<") else page.text(text)
         if job.running:
-            share = f' value="{job.share:.3f}"' if job.share is not None else ""
-            hidden = mo.Html(f'<div class="clock">{tick}</div>')
+            share = "" if job.share is None else f' value="{job.share:.3f}"'
             stop = mo.ui.button(label="Stop", on_click=lambda _: job.stop())
             bar = mo.Html(f"<progress{share}></progress> {escape(job.progress)}")
-            return "", mo.hstack([bar, stop, hidden], justify="start")
+            return "", mo.hstack([bar, stop, mo.Html(f'<div class="clock">{tick}</div>')], justify="start")
         fault = session.finish()
         if fault:
             set_said(("danger", fault))
         else:
             set_said(("", f"<div>{job.done} {tables.notice_list(job.notices)}</div>"))
-            up(*changed[job.step])
+            up(set_results, *[set_picture] * (job.step == "found"))
         set_busy(False)
-        return "", mo.md("")
+        return "", ""
 
     _kind, _shown = status()
     mo.Html(f'<div class="status {_kind}">{_shown}</div>')

@@ -25,31 +25,25 @@ from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 
 Corners = NDArray[np.floating[Any]]
+Place = Sequence[float]
+Colour = tuple[int, int, int, int]
 View = Literal["slices and 3D", "slices", "3D"]
 VIEWS: tuple[View, ...] = ("slices", "slices and 3D", "3D")
 """The first is how the page begins: 3D beside slices takes seconds a move without a graphics card."""
 
 _OPACITY = 0.45  # of labels over grey values: both can be read
 _BALL_MM = 0.09  # radius of a point in 3D
-_COLOURS = {"stapes": (230, 184, 0, 255), "plate": (58, 160, 255, 255), "marks": (255, 0, 255, 255)}
+_COLOURS: dict[str, Colour] = {
+    "stapes": (230, 184, 0, 255),
+    "plate": (58, 160, 255, 255),
+    "marks": (255, 0, 255, 255),
+}
 _VERDICTS = {"ok": (60, 200, 80, 255), "unused": (150, 150, 150, 255)}
 _SUSPECT = (255, 70, 50, 255)
 
 
 class Picture(NiiVue):  # type: ignore[misc]
-    """The picture of one page; Python holds the labels, the browser draws what it is sent.
-
-    Attributes
-    ----------
-    pen : int or None
-        Label of the brush; None: a click only moves the crosshair.
-    radius, ball : int, bool
-        Of the brush; a disc in the slice instead of a ball.
-    point : ndarray, (3,), or None
-        The crosshair in scan coordinates, mm.
-    on_point, on_stroke : callable
-        Called with the crosshair when the mouse is released, and after a stroke.
-    """
+    """The picture of one page; Python holds the labels, the browser draws what it is sent."""
 
     def __init__(self) -> None:
         super().__init__(
@@ -75,24 +69,17 @@ class Picture(NiiVue):  # type: ignore[misc]
             )
         )
         self.draw_opacity = _OPACITY
-        self.pen: int | None = None
-        self.radius, self.ball = 3, True
-        self.point: Array | None = None
-        self.on_point: Callable[[Array], Any] = lambda _: None
+        self.pen: int | None = None  # label of the brush; without one a click only moves the crosshair
+        self.radius, self.ball = 3, True  # a ball, or a disc in the slice
+        self.point: Array | None = None  # the crosshair in scan coordinates, mm
+        self.on_point: Callable[[Array], Any] = lambda _: None  # called when the mouse is released
         self.on_stroke: Callable[[], Any] = lambda: None
         self._drawing: Drawing | None = None
         self._files = tempfile.TemporaryDirectory(prefix="stapeskit_app_")
         self._number = 0
-        self._groups: dict[str, list[Mesh]] = {}
 
     def clicked(self) -> Array:
-        """Return the crosshair in scan coordinates, mm.
-
-        Raises
-        ------
-        StapeskitError
-            No place was clicked yet.
-        """
+        """Return the crosshair in scan coordinates, mm; a `StapeskitError` before the first click."""
         if self.point is None:
             raise StapeskitError("Click a place in a slice first.")
         return self.point
@@ -112,7 +99,7 @@ class Picture(NiiVue):  # type: ignore[misc]
 
     def show_change(self, change: Change | None) -> None:
         """Draw voxels that have changed."""
-        if change is not None and change.index.size:
+        if change is not None:
             data = {"attr": "drawBitmap", "type": "uint8", "indices_type": "uint32"}
             buffers = [change.index.tobytes(), change.values.tobytes()]
             self.send({"type": "buffer_update", "data": data}, buffers=buffers)
@@ -123,33 +110,35 @@ class Picture(NiiVue):  # type: ignore[misc]
             path = self._next("labels.nii")
             self.load_drawing(str(write_nifti(path, self._drawing.shown, self._drawing.affine)))
 
-    def show_surfaces(self, surfaces: Mapping[str, Corners]) -> None:
-        """Show the surfaces of stapes and plate by name, corners (faces, 3, 3) in scan coordinates, mm."""
-        self._show_group("bodies", [(corners, _COLOURS[name]) for name, corners in surfaces.items()])
+    def show_meshes(
+        self,
+        surfaces: Mapping[str, Corners],
+        points: Sequence[tuple[str, str, Place]],
+        marks: Sequence[Place],
+    ) -> None:
+        """Show surfaces, measured points in the colours of their verdicts, and marks; scan coordinates, mm.
 
-    def show_marks(self, places: Sequence[Sequence[float]]) -> None:
-        """Show marks in scan coordinates, mm."""
-        self._show_group("marks", [(balls(places), _COLOURS["marks"])] if places else [])
+        marimo closes what a cell has made when that cell runs again: all of them are made in one.
 
-    def show_points(self, points: Sequence[tuple[str, str, Sequence[float]]]) -> None:
-        """Show measured points (body, verdict, place in scan coordinates, mm), coloured by their verdicts."""
-        places: dict[tuple[int, ...], list[Sequence[float]]] = {}
+        Parameters
+        ----------
+        surfaces : mapping of str to ndarray, (faces, 3, 3)
+            Corners of ``stapes`` and ``plate``.
+        points : sequence of (str, str, (x, y, z))
+            Body, verdict and place.
+        """
+        shown: list[tuple[Colour, Corners]] = [
+            (_COLOURS[name], corners) for name, corners in surfaces.items()
+        ]
+        places: dict[Colour, list[Place]] = {_COLOURS["marks"]: list(marks)}
         for _, verdict, place in points:
             if np.all(np.isfinite(place)):
                 places.setdefault(_VERDICTS.get(verdict, _SUSPECT), []).append(place)
-        self._show_group("points", [(balls(own), colour) for colour, own in places.items()])
-
-    def _show_group(self, group: str, surfaces: Sequence[tuple[Corners, tuple[int, ...]]]) -> None:
-        """Show a group of surfaces beside the others.
-
-        marimo closes the widgets that a cell made when that cell runs again: every group has its own cell.
-        """
-        meshes = []
-        for corners, colour in surfaces:
-            path = write_stl(self._next("surface.stl"), corners * RAS)
-            meshes.append(Mesh(path=path, rgba255=list(colour)))
-        self._groups[group] = meshes
-        self.meshes = [mesh for one in self._groups.values() for mesh in one]
+        shown += [(colour, balls(own)) for colour, own in places.items() if own]
+        self.meshes = [
+            Mesh(path=write_stl(self._next("surface.stl"), corners * RAS), rgba255=list(colour))
+            for colour, corners in shown
+        ]
 
     def set_view(self, view: View) -> None:
         """Show slices, 3D or both; 3D alone shows surfaces and points without grey values."""
@@ -185,7 +174,7 @@ class Picture(NiiVue):  # type: ignore[misc]
         return Path(self._files.name) / f"{self._number}_{name}"
 
 
-def balls(places: Sequence[Sequence[float]]) -> Corners:
+def balls(places: Sequence[Place]) -> Corners:
     """Return the corners (8 n, 3, 3) of a small octahedron at each of n places."""
     signs = np.array(list(product((-1.0, 1.0), repeat=3)))
     one = _BALL_MM * signs[:, :, None] * np.eye(3)

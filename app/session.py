@@ -27,28 +27,14 @@ class Session:
     """A study at work: its file, what its steps found, and what is drawn and marked.
 
     Every action raises `StapeskitError` with the sentence that the page shows; nothing is changed then.
-
-    Attributes
-    ----------
-    study : StudyFile
-        An empty one until a scan or a study is chosen.
-    scan : Scan or None
-        Opened, for the picture.
-    drawing : Drawing or None
-        Labels, once the stapes was found.
-    marks : Marks
-    job : Job or None
-        The step at work, or the last one.
-    mass : dict of str to dict
-        ``found`` and ``cut``: content of their mass.json.
     """
 
     def __init__(self, study: StudyFile) -> None:
-        self.study, self.marks = study, Marks(study)
+        self.study, self.marks = study, Marks(study)  # empty ones until a scan or a study is chosen
         self.scan: Scan | None = None
-        self.drawing: Drawing | None = None
-        self.job: Job | None = None
-        self.mass: dict[str, dict[str, Any]] = {}
+        self.drawing: Drawing | None = None  # labels, once the stapes was found
+        self.job: Job | None = None  # the step at work, or the last one
+        self.mass: dict[str, dict[str, Any]] = {}  # content of mass.json of ``found`` and ``cut``
         self._hand: OwnFile | None = None  # the labels that were drawn
 
     def open(self, path: Path) -> str:
@@ -115,11 +101,10 @@ class Session:
         """Return what can be ticked for ``leave_out`` or ``confirmed``, and what is."""
         value = self.study.get(table, key) or []
         chosen = [value] if isinstance(value, str) else list(value)
-        known = list(self.content("fit").get("reasons", ()))
+        reasons = _content(self.study.out / "kd.json").get("verdict", {}).get("reasons", ())
+        known = [reason["code"] for reason in reasons]
         if key == "leave_out":
-            beams = self.content("points").get("beams", ())
-            pairs = ((f"{body}:{point}:{beam}", f"{body}:{point}") for body, point, beam, *_ in beams)
-            known = [name.replace(", ", ",") for pair in pairs for name in pair]
+            known = self.content("points").get("beams", [])
         return list(dict.fromkeys([*chosen, *known])), chosen
 
     def start(self, step: str) -> None:
@@ -174,8 +159,10 @@ class Session:
 
     def undo(self) -> Change | None:
         """Take the last stroke back and save."""
-        change = None if self.drawing is None else self.drawing.undo()
-        if self.drawing is not None and change is not None and change.index.size:
+        if self.drawing is None:
+            return None
+        change = self.drawing.undo()
+        if change is not None:
             self._save_labels(self.drawing)
         return change
 
@@ -203,10 +190,13 @@ class Session:
 
     def content(self, name: str) -> dict[str, Any]:
         """Return what a step left for the page, ``points`` or ``fit``; empty without it."""
-        try:
-            return dict(json.loads((self.study.kept / f"{name}.json").read_text(encoding="utf-8")))
-        except (OSError, ValueError):
-            return {}
+        return _content(self.study.kept / f"{name}.json")
+
+    @property
+    def report(self) -> Path | None:
+        """The page that a step has written last: of the measurement, or of the whole study."""
+        pages = [one for one in (self.study.points, self.study.out / "report.html") if one.is_file()]
+        return max(pages, key=lambda one: one.stat().st_mtime, default=None)
 
     def files(self) -> list[str]:
         """Return the names of the files that can be a measurement, its points or its fiducials."""
@@ -219,6 +209,14 @@ class Session:
         """Return the other folders next to the study that hold K and D."""
         folders = sorted(path.parent for path in self.study.path.parent.glob("*/kd.json"))
         return [folder.name for folder in folders if folder != self.study.out]
+
+
+def _content(path: Path) -> dict[str, Any]:
+    """Return the content of a file that a step writes, empty where it is not there or damaged."""
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError):
+        return {}
 
 
 def _begun(scan: Path) -> StudyFile:

@@ -47,10 +47,6 @@ def _warn(notices: Sequence[Notice]) -> None:
     _say(notices=[(notice.code, notice.text) for notice in notices])
 
 
-def _keep(study: StudyFile, name: str, content: dict[str, Any]) -> None:
-    OwnFile(study.kept / f"{name}.json").write(json.dumps(content))
-
-
 def found(study: StudyFile) -> None:
     """Find the stapes and measure its mass, without hand work."""
     _mass(study, study.found, hand_work=False)
@@ -123,47 +119,36 @@ def points(study: StudyFile) -> None:
     options = MotionOptions.from_study(study.tables.get("ldv", {}), study.path.name, study.path.parent)
     with options.as_keys():
         result = measure_motion(options, mass, _tell)
-    _warn(in_keys(result.notices, type(options)))
-    _keep(study, "points", points_content(result))
+    result = replace(result, motion=replace(result.motion, notices=in_keys(result.notices, type(options))))
+    _warn(result.notices)
+    result.write(study.points.parent)
+    OwnFile(study.kept / "points.json").write(json.dumps(points_content(result)))
 
 
 def points_content(result: MotionResult) -> dict[str, Any]:
-    """Return points in scan mm with their verdicts, every beam, and how well the fiducials fit, µm."""
+    """Return (body, verdict, place in scan mm) of every point, and what can be left out: points and beams."""
     import numpy as np
 
     from kinematics.measurement import direction_name
     from kinematics.report.motion import motion_scene
 
-    places, fit = [], result.placement.registration
+    places = []
     if result.mass is not None:
         pose = result.mass.scan_from_footplate
         for point in motion_scene(result).points:
             at = [round(float(value), 4) for value in pose.points(np.asarray(point.position_mm))]
             places.append((point.body, point.verdict, at))
-    beams = [
-        (one.body, one.point, direction_name(one.direction), one.verdict, one.estimate,
-         round(1e6 * float(one.residual_rms_m), 6))
-        for one in result.channels
-    ]  # fmt: skip
-    residuals = [] if fit is None else 1e3 * np.linalg.norm(fit.residuals_mm, axis=1)
-    return {
-        "points": places,
-        "beams": beams,
-        "rms_um": None if fit is None else 1e3 * fit.rms_mm,
-        "fiducials": {} if fit is None else dict(zip(fit.names, map(float, residuals), strict=True)),
-    }
+    beams = [(f"{one.body}:{one.point}", direction_name(one.direction)) for one in result.channels]
+    names = [name for point, beam in beams for name in (f"{point}:{beam}".replace(", ", ","), point)]
+    return {"points": places, "beams": list(dict.fromkeys(names))}
 
 
 def fit(study: StudyFile) -> None:
     """Run the study as ``scan2kd`` does."""
-    from fitting.report.page import matrices, verdict_block
     from pipeline.run import run_study
-    from stapeskit.report import page
 
     fitted = run_study(study.path, study.out, progress=_tell, tell=_warn).fit
-    shown = str(verdict_block(fitted) + page.beside(*matrices(fitted)))
-    codes = [reason.code for reason in fitted.verdict.reasons]
-    _keep(study, "fit", {"reasons": codes, "html": shown, "responses": response_rows(fitted)})
+    OwnFile(study.kept / "fit.json").write(json.dumps({"responses": response_rows(fitted)}))
 
 
 def response_rows(result: KDFit) -> list[dict[str, Any]]:
@@ -200,22 +185,12 @@ STEPS: dict[str, tuple[str, Callable[[StudyFile], None]]] = {
 
 
 class Job:
-    """A step at work in a child process, begun when this is made.
-
-    Attributes
-    ----------
-    step : str
-        Of `STEPS`.
-    stage, share : str, float or None
-        What is at work, and the part of it that is done.
-    notices : tuple of Notice
-        Warnings, each once: several may have one code.
-    """
+    """A step of `STEPS` at work in a child process, begun when this is made."""
 
     def __init__(self, step: str, study: StudyFile) -> None:
         self.step, self.stage = step, "starting"
-        self.share: float | None = None
-        self.notices: tuple[Notice, ...] = ()
+        self.share: float | None = None  # the part of the stage that is done
+        self.notices: tuple[Notice, ...] = ()  # each once: several may have one code
         self._fault, self._stopped = "", False
         self._began = self._stage_began = time.monotonic()
         self._process = subprocess.Popen(

@@ -72,6 +72,8 @@ class StudyFile(OwnFile):
         NAME_app/, the folder of hand work and of what the steps found.
     found, cut : Path
         Folders of the mass as found without hand work, and with the labels that were drawn.
+    points : Path
+        Page of the measurement.
     out : Path
         Folder of ``scan2kd NAME.toml``.
     """
@@ -81,6 +83,7 @@ class StudyFile(OwnFile):
         self.text = text
         self.kept, self.out = (path.with_name(f"{path.stem}_{name}") for name in ("app", "out"))
         self.found, self.cut = self.kept / "found", self.kept / "cut"
+        self.points = self.kept / "points" / "dof.html"
 
     @classmethod
     def read(cls, path: Path) -> StudyFile:

@@ -36,25 +36,6 @@ def mark_table(placed: Mapping[str, Sequence[float]]) -> Markup:
     return page.table(("mark", "scan x, y, z, mm"), rows, words=True)
 
 
-def beam_table(measured: Mapping[str, Any]) -> Markup:
-    """Return every beam with its verdict, to be unfolded."""
-    head = ("body", "point", "beam", "verdict", "estimate", "residual, µm")
-    rows = [(*words, f"{residual:.3g}") for *words, residual in measured["beams"]]
-    return page.folded("beams", page.table(head, rows, words=True))
-
-
-def registration_text(measured: Mapping[str, Any]) -> str:
-    """Return how well the fiducials fit, and which one worst."""
-    count = len({(body, point) for body, point, *_ in measured["beams"]})
-    if measured["rms_um"] is None:
-        return f"{count} points; no fiducials tie them to the scan."
-    name, worst = max(measured["fiducials"].items(), key=lambda pair: pair[1])
-    return (
-        f"{count} points laid into the scan; the fiducials fit within {measured['rms_um']:.0f} µm rms, worst "
-        f"{name} with {worst:.0f} µm."
-    )
-
-
 def notice_list(notices: Sequence[Notice]) -> Markup | str:
     """Return warnings, to be unfolded."""
     if not notices:
@@ -67,9 +48,8 @@ class Curves:
     """A chart of one motion: amplitude above phase, measured (dots) and fitted (lines), to be zoomed."""
 
     def __init__(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        title = rows[0]["motion"]
         panels = [
-            _panel("amplitude", title, {"type": "log"}),
+            _panel("amplitude", rows[0]["motion"], {"type": "log"}),
             _panel("phase", "phase, °", {"domain": [-180, 180]}),
         ]
         self.specification = {"$schema": _SCHEMA, "data": {"values": list(rows)}, "vconcat": panels}
@@ -82,15 +62,13 @@ def _panel(what: str, title: str, scale: Mapping[str, Any]) -> dict[str, Any]:
     """Return one panel of a chart."""
     x = {"field": "frequency, Hz", "type": "quantitative", "scale": {"type": "log", "nice": False}}
     y = {"field": what, "type": "quantitative", "scale": scale, "title": title}
-    marks: dict[str, dict[str, Any]] = {"measured": {"type": "circle", "size": 12, "color": "#555555"},
+    marks = {"measured": {"type": "circle", "size": 12, "color": "#555555", "tooltip": {"content": "data"}},
              "fitted": {"type": "line", "color": "#d55e00"}}  # fmt: skip
     layers: list[dict[str, Any]] = [
-        {"transform": [{"filter": f"datum.kind == '{kind}'"}], "encoding": {"x": x, "y": y},
-         "mark": {**mark, "tooltip": {"content": "data"}}}
-        for kind, mark in marks.items()
-    ]  # fmt: skip
+        {"transform": [{"filter": f"datum.kind == '{kind}'"}], "mark": mark} for kind, mark in marks.items()
+    ]
     layers[0]["params"] = [{"name": what, "select": "interval", "bind": "scales"}]
-    return {"width": 220, "height": 140, "layer": layers}
+    return {"width": 220, "height": 140, "encoding": {"x": x, "y": y}, "layer": layers}
 
 
 def curves(rows: Sequence[Mapping[str, Any]]) -> list[Curves]:

@@ -131,7 +131,7 @@ def _set_marks(page, folder):
 def _fit(page, folder):
     page.press("4 Measurement")
     page.press("Look at it")
-    page.wait("points laid into the scan")
+    page.wait("Looking at the measurement: done")
     page.press("5 Fit")
     page.press("/^Fit$/")
     page.wait("Fitting stiffness and damping: done")
