@@ -40,14 +40,7 @@ def ras_view(array: NDArray[np.generic], scan_from_index: Array) -> NDArray[np.g
 def ras_affine(scan_from_index: Array, shape: Sequence[int], step: int = 1) -> Array:
     """Return the affine (4, 4) from an index r, a, s of `ras_view` to right, anterior, superior, mm.
 
-    Parameters
-    ----------
-    scan_from_index : ndarray, (4, 4)
-        Of the grid, index x, y, z to scan coordinates, mm.
-    shape : sequence of 3 int
-        Of the grid, z, y, x.
-    step : int
-        Voxels of the grid per voxel of the picture.
+    Of a grid of a shape z, y, x, every ``step`` voxels of which are one of the picture.
     """
     index_from_view = inv_ornt_aff(_orientation(scan_from_index), tuple(shape[::-1]))
     view_from_picture = np.diag([step, step, step, 1.0])
@@ -62,20 +55,11 @@ def _orientation(scan_from_index: Array) -> Array:
 
 @dataclass
 class Drawing:
-    """Labels of a part of the scan, and what was drawn on them.
+    """Labels of a part of the scan, [z, y, x] in the axes of their file, and what was drawn on them."""
 
-    Attributes
-    ----------
-    labels : ndarray of uint8, [z, y, x]
-        All of them, in the axes of their file: 0 background, 1 stapes, 2 plate, 3 other bone.
-    scan_from_index : ndarray, (4, 4)
-    found : ndarray of uint8, [z, y, x]
-        As they were found.
-    """
-
-    labels: Labels
-    scan_from_index: Array
-    found: Labels
+    labels: Labels  # 0 background, 1 stapes, 2 plate, 3 other bone
+    scan_from_index: Array  # (4, 4)
+    found: Labels  # as they were found
     _strokes: list[Stroke] = field(default_factory=list)
     _stroke: Stroke = field(default_factory=list)
     _last: Array | None = None
@@ -120,18 +104,10 @@ class Drawing:
     def paint(
         self, voxel: Sequence[float], pen: int, radius: int, normal: int | None = None
     ) -> Change | None:
-        """Draw from the last place of this stroke to a voxel; return what changed, None where nothing.
+        """Draw from the last place of this stroke to a voxel r, a, s of the picture; return what changed.
 
-        Parameters
-        ----------
-        voxel : sequence of 3 float
-            Index r, a, s of the picture.
-        pen : int
-            The label.
-        radius : int
-            Of the brush, voxels of the picture.
-        normal : int, optional
-            Axis across the slice, 0, 1 or 2, for a disc in that slice; a ball without it.
+        The pen is a label; the brush is a ball of a radius in voxels of the picture, or with ``normal``, the
+        axis across a slice, a disc in that slice.
         """
         at = np.rint(voxel)[::-1]
         last = at if self._last is None else self._last

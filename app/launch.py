@@ -18,14 +18,7 @@ _KEPT_S = 3600  # how long a page that lost its connection can come back
 
 
 def app_command(folder: Path, more: Sequence[str] = ()) -> list[str]:
-    """Return the command that serves the page.
-
-    Parameters
-    ----------
-    folder : Path
-        Where the page begins to look for files.
-    more : sequence of str
-        Further options of ``marimo run``: ``--headless``, ``--port 2800``.
+    """Return the command that serves the page of a folder, with further options of ``marimo run``.
 
     Raises
     ------
@@ -47,13 +40,7 @@ def app_command(folder: Path, more: Sequence[str] = ()) -> list[str]:
 
 
 def start(folder: Path, more: Sequence[str] = ()) -> None:
-    """Become the server: a killed launcher leaves nothing behind, and Ctrl-C ends it.
-
-    Raises
-    ------
-    StapeskitError
-        As `app_command`.
-    """
+    """Become the server: a killed launcher leaves nothing behind, and Ctrl-C ends it."""
     command = app_command(folder, more)
     os.chdir(Path(__file__).parents[1])  # a file app.py where the user is must not be taken for this package
     os.execv(sys.executable, command)

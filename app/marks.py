@@ -26,13 +26,6 @@ _SCAN, _PLATE = ("x_mm", "y_mm", "z_mm"), ("x_ref_mm", "y_ref_mm", "z_ref_mm")
 class Marks:
     """Marks of a study in scan coordinates, mm, saved at every change.
 
-    Attributes
-    ----------
-    points : dict of str to dict of str to (x, y, z)
-        Marks by name, by key of [scan].
-    references : dict of str to (x, y, z)
-        Where the marks of the plate are in the plate frame, by fiducials.csv, mm.
-
     Raises
     ------
     StapeskitError
@@ -42,7 +35,7 @@ class Marks:
     def __init__(self, study: StudyFile) -> None:
         self.study = study
         self._own = {key: OwnFile(study.kept / f"{key}.csv") for key in FILES}
-        self.points: dict[str, dict[str, Point]] = {key: self._read(key) for key in FILES}
+        self.points: dict[str, dict[str, Point]] = {key: self._read(key) for key in FILES}  # by key of [scan]
         for key, names in SEARCH.items():
             places = np.reshape(study.get("scan", key) or [], (-1, 3))
             self.points[key] = {name: _point(at) for name, at in zip(names, places, strict=False)}
@@ -67,7 +60,7 @@ class Marks:
         return {name: _point(at) for name, at in zip(names, places, strict=True) if used}
 
     def use_fiducials(self) -> None:
-        """Take the names of plate marks, and their places on the plate, from the study's fiducials."""
+        """Take the names of plate marks, and their places in the plate frame, mm, from the fiducials."""
         from kinematics.place.fiducials import read_fiducials
 
         path = self.study.file("ldv", "fiducials")
@@ -88,13 +81,7 @@ class Marks:
         return {name: place for own in self.points.values() for name, place in own.items()}
 
     def put(self, name: str, scan_mm: Sequence[float] | None) -> None:
-        """Set a mark, or remove it (None), and save.
-
-        Raises
-        ------
-        StapeskitError
-            A file was changed elsewhere, or the stapes is sought while labels say where it is.
-        """
+        """Set a mark, or remove it (None), and save."""
         self.study.put("scan")  # refused where there is no scan yet
         other = "landmarks" if name in LANDMARK_NAMES else "plate_fiducials"
         key = next((key for key, names in SEARCH.items() if name in names), other)

@@ -241,7 +241,7 @@ def show_picture():
 @app.cell
 def show_meshes():
     get_marks(), get_results()
-    placed, points = session.marks.placed, session.content("points").get("points", ())
+    placed, points = session.marks.placed, session.content("measured").get("points", ())
     picture.show_meshes(session.surfaces(), points, list(placed.values()))
     marks_table = mo.Html(tables.mark_table(placed)) if placed else None
     return (marks_table,)

@@ -116,16 +116,9 @@ class Picture(NiiVue):  # type: ignore[misc]
         points: Sequence[tuple[str, str, Place]],
         marks: Sequence[Place],
     ) -> None:
-        """Show surfaces, measured points in the colours of their verdicts, and marks; scan coordinates, mm.
+        """Show the corners of ``stapes`` and ``plate``, points (body, verdict, place) and marks; scan mm.
 
         marimo closes what a cell has made when that cell runs again: all of them are made in one.
-
-        Parameters
-        ----------
-        surfaces : mapping of str to ndarray, (faces, 3, 3)
-            Corners of ``stapes`` and ``plate``.
-        points : sequence of (str, str, (x, y, z))
-            Body, verdict and place.
         """
         shown: list[tuple[Colour, Corners]] = [
             (_COLOURS[name], corners) for name, corners in surfaces.items()

@@ -104,7 +104,7 @@ class Session:
         reasons = _content(self.study.out / "kd.json").get("verdict", {}).get("reasons", ())
         known = [reason["code"] for reason in reasons]
         if key == "leave_out":
-            known = self.content("points").get("beams", [])
+            known = self.content("measured").get("beams", [])
         return list(dict.fromkeys([*chosen, *known])), chosen
 
     def start(self, step: str) -> None:
@@ -189,7 +189,7 @@ class Session:
                 for name in ("stapes", "plate") if f"{name}_faces" in shown}  # fmt: skip
 
     def content(self, name: str) -> dict[str, Any]:
-        """Return what a step left for the page, ``points`` or ``fit``; empty without it."""
+        """Return what a step left for the page, ``measured`` or ``fit``; empty without it."""
         return _content(self.study.kept / f"{name}.json")
 
     @property

@@ -122,7 +122,7 @@ def points(study: StudyFile) -> None:
     result = replace(result, motion=replace(result.motion, notices=in_keys(result.notices, type(options))))
     _warn(result.notices)
     result.write(study.points.parent)
-    OwnFile(study.kept / "points.json").write(json.dumps(points_content(result)))
+    OwnFile(study.kept / "measured.json").write(json.dumps(points_content(result)))
 
 
 def points_content(result: MotionResult) -> dict[str, Any]:

@@ -29,10 +29,7 @@ class OwnFile:
     def write(self, content: str | Callable[[Path], object]) -> None:
         """Write a text, or what a function writes to a path, so that the file is there whole or as it was.
 
-        Raises
-        ------
-        StapeskitError
-            Another tab, or a program, has changed the file since it was read or written here.
+        A `StapeskitError` where another tab, or a program, has changed it since it was read or written here.
         """
         if self.path.exists() and _stamp(self.path) != self._seen:
             step = "Open the study again: what is there is kept"
@@ -63,27 +60,16 @@ class StudyFile(OwnFile):
     """A study: NAME.toml, saved after every change, its comments kept.
 
     What is wrong with a value, a name or the file is raised as `StapeskitError`; nothing is changed then.
-
-    Attributes
-    ----------
-    text : str
-        Its content as it is here.
-    kept : Path
-        NAME_app/, the folder of hand work and of what the steps found.
-    found, cut : Path
-        Folders of the mass as found without hand work, and with the labels that were drawn.
-    points : Path
-        Page of the measurement.
-    out : Path
-        Folder of ``scan2kd NAME.toml``.
     """
 
     def __init__(self, path: Path, text: str = "") -> None:
         super().__init__(path)
-        self.text = text
-        self.kept, self.out = (path.with_name(f"{path.stem}_{name}") for name in ("app", "out"))
-        self.found, self.cut = self.kept / "found", self.kept / "cut"
-        self.points = self.kept / "points" / "dof.html"
+        self.text = text  # its content as it is here
+        self.out = path.with_name(f"{path.stem}_out")  # of scan2kd NAME.toml
+        self.kept = path.with_name(f"{path.stem}_app")  # hand work, and what the steps found:
+        self.found = self.kept / "found"  # the mass without hand work,
+        self.cut = self.kept / "cut"  # the mass with the labels that were drawn,
+        self.points = self.kept / "points" / "dof.html"  # the page of the measurement
 
     @classmethod
     def read(cls, path: Path) -> StudyFile:

@@ -3,7 +3,7 @@
     python -m sample_volumes.make_sample                       the sample study, always the same
     python -m sample_volumes.make_sample --out ear2 --seed 2 --ear gap_mm=0.06 bridges=2
     python -m sample_volumes.make_sample --out ear3 --ear incus_gap_mm=0.06 --scan mirror=z voxel_um=40
-    python -m sample_volumes.make_sample --out ear4 --ear stapes.family=gutter --experiment lines=60
+    python -m sample_volumes.make_sample --out ear4 --ear "stapes.family=foreign gutter" --experiment lines=60
     python -m sample_volumes.make_sample --out big --only scan --scan voxel_um=5 shape=[1024,1024,1024]
 
 The settings are the fields of simulate.Ear, Scan and Experiment, with values as in TOML. Vibrometer data and

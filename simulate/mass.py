@@ -20,17 +20,17 @@ class MassProperties:
     centre_of_mass_mm: Array  # (3,)
     inertia_about_com_kg_m2: Array  # (3, 3)
 
-    def parameters(self, about_mm: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
-        """Return the ten inertial parameters (stapeskit.spatial.PARAMETER_NAMES) about a point (3,), SI."""
-        arm = (self.centre_of_mass_mm - np.asarray(about_mm, dtype=float)) * 1e-3
+    def parameters(self) -> Array:
+        """Return the ten inertial parameters (stapeskit.spatial.PARAMETER_NAMES) about the origin, SI."""
+        arm = self.centre_of_mass_mm * 1e-3
         parallel = self.mass_kg * (arm @ arm * np.eye(3) - np.outer(arm, arm))
         tensor = self.inertia_about_com_kg_m2 + parallel
         entries = [tensor[i, j] for i, j in TENSOR_PLACES]
         return np.array([self.mass_kg, *(self.mass_kg * arm), *entries])
 
-    def matrix(self, about_mm: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
-        """Return the 6x6 mass matrix about a point (3,), SI."""
-        return matrix_from_parameters(self.parameters(about_mm))
+    def matrix(self) -> Array:
+        """Return the 6x6 mass matrix about the origin, SI."""
+        return matrix_from_parameters(self.parameters())
 
 
 def uniform_mass(moments: Moments, density_kg_m3: float) -> MassProperties:

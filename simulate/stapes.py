@@ -36,8 +36,8 @@ _FILE_FROM_FOOTPLATE = (
 class Stapes:
     """Which stapes, and how it is deformed."""
 
-    # one of STAPES: ``openear`` (a real one), ``analytic`` (symmetric, frame known by construction),
-    # ``gutter`` (crura of 80 um walls), or ``foreign `` with one of simulate.foreign.FAMILIES
+    # one of STAPES: ``openear`` (a real one), ``analytic`` (symmetric, frame known by construction), or
+    # ``foreign `` with one of simulate.foreign.FAMILIES
     family: str = "openear"
     scale: float = 1.0  # of all lengths
     stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)  # of x, y, z
@@ -98,14 +98,6 @@ def _warped(solid: Solid, size_mm: float, seed: int) -> Solid:
     return outward(moved, solid.faces)
 
 
-def _made(field: Callable[[Array], Array], stapes: Stapes) -> Solid:
-    """Mesh a field over the box of a stapes; nodes lie symmetric about x = 0 and z = 0."""
-    step = stapes.step_mm
-    half = [step * (0.5 + np.floor(reach / step)) for reach in (1.8, 1.0)]
-    low, high = (-half[0], -0.2 + 0.31 * step, -half[1]), (half[0], 3.9, half[1])
-    return solid_of_field(field, low, high, step)
-
-
 def rounded_footplate(points: Array) -> Array:
     """Return about the distance (mm) from an elliptic plate of 2.8 x 1.3 x 0.3 mm with a rounded rim."""
     x, y, z = np.moveaxis(points, -1, 0)
@@ -124,31 +116,23 @@ def capsule(points: Array, start: object, end: object, radius: float) -> Array:
     return np.asarray(np.linalg.norm(points - a - share[..., None] * (b - a), axis=-1) - radius)
 
 
-_HEAD = np.array([0.05, 3.1, 0.0])
+def _analytic(stapes: Stapes) -> Solid:
+    """Mesh a footplate, two crura and a head; nodes lie symmetric about x = 0 and z = 0."""
+    head = np.array([0.05, 3.1, 0.0])
 
-
-def _analytic(points: Array) -> Array:
-    parts = [
-        rounded_footplate(points),
-        capsule(points, (-0.95, 0.25, 0.0), _HEAD - [0.35, 0.6, 0.0], 0.2),
-        capsule(points, (0.95, 0.25, 0.0), _HEAD - [-0.25, 0.6, 0.0], 0.17),
-        capsule(points, _HEAD - [0.0, 0.45, 0.0], _HEAD, 0.42),
-    ]
-    return np.asarray(np.minimum.reduce(parts))
-
-
-def _gutter(points: Array, wall: float = 0.08, radius: float = 0.26) -> Array:
-    """Crura are tubes with their inner sides cut away."""
-    parts = [rounded_footplate(points), capsule(points, _HEAD - [0.0, 0.45, 0.0], _HEAD, 0.42)]
-    for side in (-1.0, 1.0):
-        foot, top = np.array([0.95 * side, 0.25, 0.0]), np.array([0.3 * side, 2.5, 0.0])
-        end = foot + 0.8 * (top - foot)
-        lumen = [
-            capsule(points, foot - [away * side, 0.0, 0.0], end - [away * side, 0.0, 0.0], radius - wall)
-            for away in np.arange(0.0, 0.4, 0.07)
+    def field(points: Array) -> Array:
+        parts = [
+            rounded_footplate(points),
+            capsule(points, (-0.95, 0.25, 0.0), head - [0.35, 0.6, 0.0], 0.2),
+            capsule(points, (0.95, 0.25, 0.0), head - [-0.25, 0.6, 0.0], 0.17),
+            capsule(points, head - [0.0, 0.45, 0.0], head, 0.42),
         ]
-        parts.append(np.maximum(capsule(points, foot, top, radius), -np.minimum.reduce(lumen)))
-    return np.asarray(np.minimum.reduce(parts))
+        return np.asarray(np.minimum.reduce(parts))
+
+    step = stapes.step_mm
+    half = [step * (0.5 + np.floor(reach / step)) for reach in (1.8, 1.0)]
+    low, high = (-half[0], -0.2 + 0.31 * step, -half[1]), (half[0], 3.9, half[1])
+    return solid_of_field(field, low, high, step)
 
 
 def _foreign(stapes: Stapes) -> Solid:
@@ -159,8 +143,7 @@ def _foreign(stapes: Stapes) -> Solid:
 
 STAPES: dict[str, Callable[[Stapes], Solid]] = {
     "openear": lambda _: read_ply(OPENEAR_PLY),
-    "analytic": lambda stapes: _made(_analytic, stapes),
-    "gutter": lambda stapes: _made(_gutter, stapes),
+    "analytic": _analytic,
     **{f"foreign {family}": _foreign for family in FAMILIES},
 }
 """Makers of stapes by family; a foreign family of the table in `simulate.foreign` is named with a prefix."""

@@ -14,9 +14,11 @@ import numpy as np
 from simulate.ear import Ear, Placed
 from simulate.files.recordings import write_recording
 from simulate.files.volumes import WITHOUT_SPACING, write_scan
+from simulate.ligament import base_motion, stapes_motion
 from simulate.mass import MassProperties
+from simulate.points import bone_points, visible_points
 from simulate.scanner import Scan
-from simulate.vibrometer import Experiment, Recording, measure
+from simulate.vibrometer import Experiment, Recording, laser_directions, measure_motion, vibrometer_pose
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import RigidTransform
 from stapeskit.options import toml
@@ -143,14 +145,25 @@ def simulate_truth(ear: Ear, scan: Scan | None = None) -> Truth:
 
 
 def simulate_recording(truth: Truth, experiment: Experiment | None = None) -> Recording:
-    """Return the measurement of an ear, with fiducials in the frame of its plate or in that of the scan."""
-    experiment = experiment or Experiment()
+    """Shake an ear and measure it, with fiducials in the frame of its plate or in that of the scan."""
+    experiment, ear = experiment or Experiment(), truth.ear
+    freq_hz, mass = experiment.freq_hz, ear.moving_mass_si()
+    bases = [base_motion(freq_hz, name, experiment.others) for name in experiment.excitations]
+    stapes = [stapes_motion(freq_hz, base, mass, ear.ligament, run) for run, base in enumerate(bases)]
+    motions = {"stapes": np.array(stapes), "base": np.array(bases)}
+    rng = np.random.default_rng([experiment.seed, 7])
+    pose = vibrometer_pose(rng)
+    beams = laser_directions(experiment.lasers, experiment.beam_cone_deg)
+    places = {
+        "stapes": visible_points(ear.solid, experiment.stapes_points, pose.inverse().vectors(beams)),
+        "base": bone_points(ear.solid, experiment.bone_points),
+    }
     marks = truth.placed.fiducials_mm()
     frame = truth.plate_from_footplate.inverse()
-    if experiment.marks_in_scan or not truth.ear.plate:
+    if experiment.marks_in_scan or not ear.plate:
         marks = {name: truth.scan_from_plate.points(mark) for name, mark in marks.items()}
         frame = truth.scan_from_footplate.inverse()
-    return measure(truth.ear, experiment, frame, marks)
+    return measure_motion(motions, places, experiment, pose, rng, (frame, marks))
 
 
 def simulate_study(

@@ -10,10 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from simulate.ear import Ear
 from simulate.faults import MeasurementFault, TrueState, apply_fault
-from simulate.ligament import base_motion, stapes_motion
-from simulate.points import bone_points, visible_points
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import RigidTransform, rotation_from_vector
 
@@ -110,27 +107,6 @@ class Recording:
         """Return g2 (R, C, L) that states the noise: sd = |v| sqrt((1 - g2) / (2 n g2))."""
         relative = self.sd_m_s / np.maximum(np.abs(self.velocity_m_s), 1e-300)
         return np.asarray(1.0 / (1.0 + 2.0 * self.averages * relative**2))
-
-
-def measure(
-    ear: Ear,
-    experiment: Experiment,
-    footplate_from_reference: RigidTransform,
-    fiducials_mm: Mapping[str, Array],
-) -> Recording:
-    """Shake an ear and measure it, and fiducials at true places in a reference frame."""
-    freq_hz, mass = experiment.freq_hz, ear.moving_mass_si()
-    bases = [base_motion(freq_hz, name, experiment.others) for name in experiment.excitations]
-    stapes = [stapes_motion(freq_hz, base, mass, ear.ligament, run) for run, base in enumerate(bases)]
-    motions = {"stapes": np.array(stapes), "base": np.array(bases)}
-    rng = np.random.default_rng([experiment.seed, 7])
-    pose = vibrometer_pose(rng)
-    beams = laser_directions(experiment.lasers, experiment.beam_cone_deg)
-    places = {
-        "stapes": visible_points(ear.solid, experiment.stapes_points, pose.inverse().vectors(beams)),
-        "base": bone_points(ear.solid, experiment.bone_points),
-    }
-    return measure_motion(motions, places, experiment, pose, rng, (footplate_from_reference, fiducials_mm))
 
 
 def measure_motion(

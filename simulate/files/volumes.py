@@ -14,7 +14,6 @@ from simulate.ear import Placed
 from simulate.scanner import Scan, render, render_into
 
 IMAGEJ_BYTES = 1 << 31
-_ROOT = "1.2.826.0.1.3680043.8.498"  # of the identifiers in DICOM files
 Writer = Callable[[Path, Placed, Scan], Path]
 
 
@@ -97,84 +96,6 @@ def _nifti(folder: Path, placed: Placed, scan: Scan) -> Path:
     return _by_itk(folder / "scan.nii.gz", render(placed, scan), placed, reverse_x=True)
 
 
-def _dicom(folder: Path, placed: Placed, scan: Scan) -> Path:
-    """Write a folder of CT slices, the names of their files in another order than their positions."""
-    import SimpleITK as sitk
-
-    target = folder / "scan_dicom"
-    target.mkdir(exist_ok=True)
-    dx, dy, dz = placed.voxel_mm
-    writer = sitk.ImageFileWriter()
-    writer.KeepOriginalImageUIDOn()
-    for k, picture in enumerate(render(placed, scan)):
-        image = sitk.GetImageFromArray(picture[None])
-        image.SetSpacing([dx, dy, dz])
-        fields = {
-            "0008|0060": "CT",
-            "0008|0018": f"{_ROOT}.3.{k}",
-            "0020|000d": f"{_ROOT}.1",
-            "0020|000e": f"{_ROOT}.2",
-            "0020|0013": str(k + 1),
-            "0020|0032": f"0\\0\\{k * dz:.9g}",
-            "0020|0037": "1\\0\\0\\0\\1\\0",
-        }
-        for tag, value in fields.items():
-            image.SetMetaData(tag, value)
-        writer.SetFileName(str(target / f"{placed.shape[2] - k:05d}.dcm"))
-        writer.Execute(image)
-    return target
-
-
-def _zarr(folder: Path, placed: Placed, scan: Scan) -> Path:
-    """Write an OME-Zarr 0.5 image of two levels, in micrometres."""
-    import zarr
-
-    volume = render(placed, scan)
-    group = zarr.create_group(folder / "scan.zarr", zarr_format=3)
-    datasets = []
-    for number, step in enumerate((1, 2)):
-        level = volume[::step, ::step, ::step]
-        group.create_array(str(number), shape=level.shape, chunks=(32, 32, 32), dtype=level.dtype)[...] = (
-            level
-        )
-        scale = [float(1e3 * step * size) for size in placed.voxel_mm[::-1]]
-        datasets.append(
-            {"path": str(number), "coordinateTransformations": [{"type": "scale", "scale": scale}]}
-        )
-    axes = [{"name": name, "type": "space", "unit": "micrometer"} for name in "zyx"]
-    image: Any = {"axes": axes, "datasets": datasets}
-    group.attrs["ome"] = {"version": "0.5", "multiscales": [image]}
-    return folder / "scan.zarr"
-
-
-def _isq(folder: Path, placed: Placed, scan: Scan) -> Path:
-    """Write a Scanco ISQ of signed 16-bit numbers; its extents are whole micrometres."""
-    head = np.zeros(256, dtype="<i4")
-    head[:4] = np.frombuffer(b"CTDATA-HEADER_V1", dtype="<i4")
-    head[11:14] = placed.shape
-    head[14:17] = np.rint(1e3 * placed.voxel_mm * placed.shape)
-    head[127] = 1
-    path = folder / "scan.isq"
-    path.write_bytes(head.tobytes() + render(placed, scan).astype("<i2").tobytes())
-    return path
-
-
-def _vgi(folder: Path, placed: Placed, scan: Scan) -> Path:
-    """Write the header of a VGStudio volume, and its voxels in a file beside it."""
-    volume = render(placed, scan)
-    (folder / "scan.vol").write_bytes(volume.tobytes())
-    kind = {"u": "unsigned integer", "i": "signed integer", "f": "float"}[volume.dtype.kind]
-    size, steps = (" ".join(f"{one:.9g}" for one in row) for row in (placed.shape, placed.voxel_mm))
-    path = folder / "scan.vgi"
-    path.write_text(
-        f"{{volume1}}\n[representation]\nsize = {size}\n[file1]\nName = scan.vol\nFileFormat = raw\n"
-        f"Size = {size}\nDatatype = {kind}\nBitsPerElement = {8 * volume.dtype.itemsize}\n"
-        f"{{volumeprimitive1}}\n[geometry]\nresolution = {steps}\nunit = mm\n",
-        encoding="ascii",
-    )
-    return path
-
-
 def _slices(folder: Path, placed: Placed, scan: Scan) -> Path:
     """Write a folder of plain TIFF slices; the voxel size stands nowhere but in the study."""
     import tifffile
@@ -243,14 +164,13 @@ WRITERS: dict[str, Writer] = {
     "nrrd": _nrrd,
     "mha": _metaimage,
     "nii.gz": _nifti,
-    "dicom": _dicom,
-    "zarr": _zarr,
-    "isq": _isq,
-    "vgi": _vgi,
     "slices": _slices,
     "ply": _surface,
     "stl": _soup,
 }
-"""Writers by format: they write into a folder and return what to open; ``ply`` and ``stl`` are surfaces."""
+"""Writers by format: they write into a folder and return what to open; ``ply`` and ``stl`` are surfaces.
+
+Those of scanners and viewers, from the descriptions of their formats, are in tests/scan_files.
+"""
 WITHOUT_SPACING = ("slices",)
 """Formats that do not say the voxel size: the study does."""

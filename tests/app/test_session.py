@@ -151,7 +151,7 @@ def test_scan2kd_repeats_the_numbers_of_a_corrected_study_to_the_last_digit(sess
     run(session, "cut")
     run(session, "points")
     assert session.report == session.study.points
-    assert {verdict for _, verdict, _ in session.content("points")["points"]} == {"ok"}
+    assert {verdict for _, verdict, _ in session.content("measured")["points"]} == {"ok"}
     run(session, "fit")
     assert session.report == session.study.out / "report.html"
     again = scan2kd(session.study.path, out=session.study.path.parent / "again")
@@ -173,7 +173,7 @@ def test_scan2kd_repeats_the_numbers_of_a_corrected_study_to_the_last_digit(sess
 
 def test_points_lie_in_the_scan_where_they_were_measured(session):
     run(session, "points")
-    places = session.content("points")["points"]
+    places = session.content("measured")["points"]
     stapes = np.array([place for body, _, place in places if body == "stapes"])
     corners = session.surfaces()["stapes"].reshape(-1, 3)
     assert np.max(cKDTree(corners).query(stapes)[0]) < 0.1

@@ -38,7 +38,7 @@ def found_of(stapes: Stapes) -> FootplateFrame:
 
 @pytest.mark.parametrize(
     "stapes",
-    [Stapes(), Stapes(family="analytic"), Stapes(family="gutter"), Stapes(warp=0.05, seed=3)],
+    [Stapes(), Stapes(family="analytic"), Stapes(family="foreign gutter"), Stapes(warp=0.05, seed=3)],
     ids=str,
 )
 def test_the_frame_is_that_of_the_definition(stapes: Stapes) -> None:

@@ -209,7 +209,7 @@ def skyscan_log(array, size=20.0, **other):
     return LOG.format(**stated | other)
 
 
-def dicom(path, array, series="1", packed=False, **tags):
+def dicom(path, array, series="1", packed=False, spacing=SPACING, **tags):
     before = locale.setlocale(locale.LC_ALL)
     path.mkdir(exist_ok=True)
     writer = sitk.ImageFileWriter()
@@ -218,34 +218,34 @@ def dicom(path, array, series="1", packed=False, **tags):
     writer.SetCompressor("JPEG")
     for k, image in enumerate(array):
         slice_ = sitk.GetImageFromArray(image[None])
-        slice_.SetSpacing(SPACING.tolist())
-        slice_.SetOrigin([0, 0, k * SPACING[2]])
+        slice_.SetSpacing(spacing.tolist())
+        slice_.SetOrigin([0, 0, k * spacing[2]])
         stated = {
             "0008|0060": "CT",
             "0020|000e": f"1.2.826.0.1.3680043.2.1125.{series}",
             "0020|000d": "1.2.826.0.1.3680043.2.1125.2",
             "0008|0018": f"1.2.826.0.1.3680043.2.1125.3{series}.{k}",
             "0008|103e": f"ear {series}",
-            "0020|0032": f"0\\0\\{k * SPACING[2]}",
+            "0020|0032": f"0\\0\\{k * spacing[2]}",
             "0020|0037": "1\\0\\0\\0\\1\\0",
             "0020|0013": str(len(array) - k),
         }
         for tag, value in (stated | tags).items():
             slice_.SetMetaData(tag, value)
-        writer.SetFileName(str(path / f"{series}_{9 - k}.dcm"))
+        writer.SetFileName(str(path / f"{series}_{999 - k}.dcm"))
         writer.Execute(slice_)
     locale.setlocale(locale.LC_ALL, before)
     return path
 
 
-def ome_zarr(path, array, version="0.4", unit="micrometer", leading=(), chunk=4, **options):
+def ome_zarr(path, array, version="0.4", unit="micrometer", leading=(), chunk=4, spacing=SPACING, **options):
     """An image of two levels by the zarr package; ``leading`` names further axes of one entry."""
     import zarr
 
     axes = [{"name": name, "type": "channel" if name == "c" else "time"} for name in leading]
     axes += [{"name": name, "type": "space", "unit": unit} if unit else {"name": name} for name in "zyx"]
     factor = {"micrometer": 1e3, "millimeter": 1.0}.get(unit, 1.0)
-    scale = [1.0] * len(leading) + (SPACING[::-1] * factor).tolist()
+    scale = [1.0] * len(leading) + (spacing[::-1] * factor).tolist()
     full = array[(None,) * len(leading)]
     group = zarr.create_group(path, zarr_format=3 if version == "0.5" else 2)
     datasets = []

@@ -10,10 +10,10 @@ import numpy as np
 from tests.scan_files.scan_writers import SPACING
 
 
-def isq(path, array):
+def isq(path, array, spacing=SPACING):
     head = bytearray(1024)
     head[:16] = b"CTDATA-HEADER_V1"
-    extent = np.rint(SPACING * 1e3 * array.shape[::-1])
+    extent = np.rint(spacing * 1e3 * array.shape[::-1])
     head[44:68] = np.array([*array.shape[::-1], *extent], "<i4").tobytes()
     head[88:92] = np.array([4096], "<i4").tobytes()
     head[508:512] = np.array([1], "<i4").tobytes()
@@ -66,7 +66,7 @@ unit = {unit}
 """
 
 
-def vgi(path, array, unit="mm", skip=0):
+def vgi(path, array, unit="mm", skip=0, spacing=SPACING):
     """A header as VGStudio MAX writes it, with the voxels in a file beside it."""
     size = " ".join(map(str, array.shape[::-1]))
     kind = {"u": "unsigned integer", "i": "signed integer", "f": "float"}[array.dtype.kind]
@@ -77,7 +77,7 @@ def vgi(path, array, unit="mm", skip=0):
         f"Name = C:\\scans\\{name}\nDatatype = {kind}\nBitsPerElement = {array.dtype.itemsize * 8}\n"
     )
     factor = {"mm": 1.0, "um": 1e3, "": 1.0}[unit]
-    steps = " ".join(f"{s * factor:g}" for s in SPACING)
+    steps = " ".join(f"{s * factor:g}" for s in spacing)
     text = VGI.format(size=size, files=files, unit=unit, resolution=steps)
     path.write_text(text, newline="\r\n")
     return path

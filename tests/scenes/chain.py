@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtri
 
-from simulate import Truth, motion_of, simulate_study, write_labels
+from simulate import Truth, motion_of, render, simulate_study, write_labels
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.records.motion_file import read_motion, write_motion
@@ -66,7 +66,7 @@ def run(scene: Scene, folder: Path) -> Outcome:
     step = "ct2mass"
     try:
         if scene.scan is not None:
-            study = _scan_words(folder, truth)
+            study = _scan_words(scene, folder, truth)
             if scene.labels:
                 study += ["--labels", str(write_labels(folder / f"labels{scene.labels}", truth.placed))]
             _command(
@@ -99,12 +99,15 @@ def _command(name: str, words: list[str]) -> None:
     import_module(COMMANDS[name]).work([*words, "--quiet"])
 
 
-def _scan_words(folder: Path, truth: Truth) -> list[str]:
+def _scan_words(scene: Scene, folder: Path, truth: Truth) -> list[str]:
     """Return what the study states of its scan, beads included, as words of ct2mass."""
     import tomllib
 
     table = tomllib.loads((folder / "study.toml").read_text())["scan"]
-    words = [str(folder / table["file"])]
+    if scene.writer is not None:
+        voxels = render(truth.placed, truth.scan)
+        scene.writer(folder / scene.scan_file, voxels, spacing=truth.placed.voxel_mm)
+    words = [str(folder / table.get("file", scene.scan_file))]
     for key, option in (("density_kg_m3", "density"), ("side", "side"), ("mirror", "mirror")):
         words += [f"--{option}", table[key]] if key in table else []
     for key, option in (("anterior", "anterior"), ("spacing_mm", "spacing")):

@@ -10,7 +10,10 @@ that ear the errors are 0.3 to 0.8 of the stated standard deviations (root mean 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -25,6 +28,8 @@ from simulate import (
     damped_alike,
     ring_ligament,
 )
+from tests.scan_files.scan_writers import dicom, ome_zarr
+from tests.scan_files.scanner_writers import isq, vgi
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +47,8 @@ class Scene:
         Whether K and D are asked for.
     motion_is_given : bool
         The fit starts from the rigid motion that simple least squares gives, not from points2dof.
+    writer, scan_file : callable, str
+        What writes the scan, and to which name, where `simulate` does not.
     labels : str
         Ending of a file of the true labels that is given with the scan, or empty.
     ct2mass, points2dof, dof2kd : str
@@ -61,6 +68,8 @@ class Scene:
     experiment: Experiment | None = None
     fits: bool = False
     motion_is_given: bool = False
+    writer: Callable[..., Path] | None = None
+    scan_file: str = ""
     labels: str = ""
     ct2mass: str = ""
     points2dof: str = ""
@@ -86,12 +95,21 @@ def _mass(*codes: str) -> dict[str, tuple[str, ...]]:
     return {"ct2mass": codes}
 
 
-def _format(name: str, codes: tuple[str, ...] = (), without: tuple[str, ...] = (), **more: str) -> Scene:
-    """A stapes alone: what a format can get wrong is the same of less bone."""
-    scan = Scan(voxel_um=(44.0, 40.0, 48.0), format=name, seed=7, **more)  # type: ignore[arg-type]
+def _format(
+    name: str,
+    codes: tuple[str, ...] = (),
+    without: tuple[str, ...] = (),
+    writer: Callable[..., Path] | None = None,
+    **more: str,
+) -> Scene:
+    """A stapes alone, in a format of `simulate` or a file by a writer: less bone shows what a format does."""
+    fmt = name if writer is None else ""
+    scan = Scan(voxel_um=(44.0, 40.0, 48.0), format=fmt, seed=7, **more)  # type: ignore[arg-type]
     return Scene(
         ear=Ear(bone=False, plate=False),
         scan=scan,
+        writer=writer,
+        scan_file=name,
         codes=_mass("plate_not_found", *codes),
         without=("plate_axis_sign", *without),
     )
@@ -171,10 +189,10 @@ SCENES: dict[str, Scene] = {
     "nrrd": _format("nrrd", without=_ORIENTED),
     "metaimage": _format("mha", without=_ORIENTED),
     "nifti_left_handed": _format("nii.gz", ("file_read",), _ORIENTED),
-    "dicom": _format("dicom", without=_ORIENTED),
-    "zarr": _format("zarr"),
-    "isq": _format("isq", dtype="int16"),
-    "vgstudio": _format("vgi"),
+    "dicom": _format("scan_dicom", without=_ORIENTED, writer=dicom),
+    "zarr": _format("scan.zarr", writer=partial(ome_zarr, version="0.5", chunk=32)),
+    "isq": _format("scan.isq", writer=isq, dtype="int16"),
+    "vgstudio": _format("scan.vgi", writer=vgi),
     "slices": _format("slices"),
     # measurements: noise, geometry, formats, faults
     "points_in_footplate_axes": _points(),
