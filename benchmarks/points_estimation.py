@@ -3,7 +3,8 @@
 Nine points on footplate, crura and head with three beams each (half-cone 20 degrees), motion with
 resonances of 100 nm and 35 urad. "Variance / bound" is the worst degree of freedom of the mean squared
 error over the bound of known noise, in brackets their mean. "Coverage" is the share of real and imaginary
-parts within 1.96 stated standard deviations. Noise from few averages is not part of this table.
+parts within 1.96 stated standard deviations. The second table has noise as files state it: sd found from few
+averages, none at all, and motion per unit of a noisy reference, whose noise is common to all of them.
 
     python -m benchmarks.points_estimation --lines 40000
 """
@@ -17,6 +18,8 @@ import numpy as np
 
 from benchmarks._table import arguments, print_table
 from kinematics.fit.beams import BeamSet, beam_set
+from kinematics.fit.noise import fit_with_noise
+from kinematics.fit.reference import per_reference
 from kinematics.fit.rigid_fit import LineFit, fit_lines
 from kinematics.joint.expected import stated_errors
 from kinematics.measurement import BodyChannels, Measurement
@@ -27,6 +30,7 @@ from simulate import resonant_motion, scattered_points
 from simulate.vibrometer import laser_directions
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import RigidTransform, rotation_from_vector
+from stapeskit.records.rigid_motion import RigidMotion
 from stapeskit.spatial import DOF_NAMES, point_rows
 
 LEVEL = 1e-9
@@ -127,6 +131,41 @@ def known_noise(lines: int) -> Iterator[list[object]]:
             yield row(name, data.fit(data.clean + data.sd * noise, data.sd, robust), data, False)
 
 
+def found_noise(lines: int) -> Iterator[list[object]]:
+    """Yield noise that files do not know exactly: sd from averages, and none stated."""
+    data, rng = readings(40, lines, 0.5), np.random.default_rng([40, 1])
+    value = data.noisy(40, 1)
+    for averages in (200, 50, 16):
+        square = rng.chisquare(2 * (averages - 1), data.sd.shape) / (2 * (averages - 1))
+        yield row(f"sd from {averages} averages", data.fit(value, data.sd * np.sqrt(square)), data)
+    parts = {"points": tuple(str(channel // 3) for channel in range(27)), "directions": data.beams}
+    body = BodyChannels("body", positions_m=data.places_mm * 1e-3, value=value[None], **parts)
+    placed = Measurement("footplate", ("1",), np.linspace(400.0, 5000.0, lines), (body,), "displacement")
+    yield row("none stated", fit_with_noise(placed, 0, body, data.beam_set)[0], data, False)
+
+
+def per_unit(lines: int) -> Iterator[list[object]]:
+    """Yield how often intervals of motion per unit of a reference hold, by size of the reference."""
+    data = readings(50, lines)
+    fit = data.fit(data.noisy(50, 1), data.sd)
+    rng, freq_hz = np.random.default_rng([50, 2]), np.linspace(400.0, 5000.0, lines)
+    for ratio in (100.0, 30.0, 10.0, 3.0):
+        shape = (1, 2, lines)
+        true = np.zeros((1, 2, lines, 6), dtype=complex)
+        true[0, 0], true[0, 1, :, 1] = data.q, 1e-7
+        covariance = np.stack([fit.covariance, np.zeros_like(fit.covariance)])[None].astype(complex)
+        sd = 1e-7 / ratio
+        covariance[0, 1, :, 1, 1] = 2.0 * sd**2
+        seen = np.stack([fit.q, true[0, 1]])[None]
+        seen[0, 1, :, 1] += sd * unit_noise(rng, (lines,))
+        sums = np.ones(shape)
+        motion = RigidMotion(("1",), ("body", "base"), DOF_NAMES, freq_hz, seen, covariance, sums, sums)
+        found = per_reference(motion, "base:y")
+        off = (found.q[0, 0] - data.q / 1e-7) / found.standard_deviation[0, 0]
+        inside = [float(np.mean(np.abs(part) < 1.96)) for part in (off.real, off.imag)]
+        yield [f"{ratio:g}", f"{100.0 * np.mean(inside):.1f} %"]
+
+
 def squared_distance(replicates: int, stated: bool) -> float:
     """Return the mean normalised squared error of q at three lines jointly, over its dimension.
 
@@ -173,6 +212,9 @@ if __name__ == "__main__":
     given = arguments(__doc__, lines=2000, geometries=100)
     print(f"{given.lines} lines a case; worst degree of freedom (mean).\n")
     print_table(("case", "variance/bound", "95 % holds", "chi2 alarms at 5 %"), known_noise(given.lines))
+    head = ("noise as stated", "variance/bound", "95 % holds", "chi2 alarms at 5 %")
+    print_table(head, found_noise(given.lines))
+    print_table(("reference over its sd", "95 % of ratios hold"), per_unit(given.lines))
     distances = [squared_distance(given.geometries, stated) for stated in (True, False)]
     print(f"Squared distance of q at three lines jointly, over its dimension, {given.geometries} geometries:")
     print(f"stated as priors {distances[0]:.3f}, channel noise alone {distances[1]:.1f}.")
