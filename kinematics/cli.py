@@ -72,50 +72,34 @@ def _epilog() -> str:
 
     from kinematics.readers.formats import FORMATS
 
-    formats = [
-        fill(
-            f"{entry.words}: {entry.reads.replace('`', '')}",
-            80,
-            initial_indent="  ",
-            subsequent_indent="      ",
-        )
-        for entry in reversed(FORMATS)
-    ]
+    texts = [f"{entry.words}: {entry.reads.replace('`', '')}" for entry in reversed(FORMATS)]
+    formats = [fill(text, 80, initial_indent="  ", subsequent_indent="      ") for text in texts]
     return _EXAMPLES.format("\n".join(formats))
 
 
 def as_json(result: MotionResult, files: Sequence[str]) -> dict[str, Any]:
     """Return the result as ``--json`` prints it."""
     from kinematics.report.tables import bodies_json, registration_json
+    from stapeskit import documents
 
     motion = result.motion
-    return {
+    content = {
         "schema": SCHEMA,
-        "dof": list(motion.dof),
+        "dof": motion.dof,
         "reference": motion.reference,
         "found_beside": {role: str(path) for role, path in result.taken.items()},
-        "inputs_say": list(result.measurement.statements),
-        "runs": list(motion.runs),
+        "inputs_say": result.measurement.statements,
+        "runs": motion.runs,
         "lines": len(motion.freq_hz),
         "bodies": bodies_json(result),
         **registration_json(result),
-        "verdicts": [
-            {
-                "run": one.run,
-                "body": one.body,
-                "point": one.point,
-                "direction": [float(value) for value in one.direction],
-                "verdict": one.verdict,
-                "estimate": one.estimate,
-                "p_value": one.p_value if one.p_value == one.p_value else None,
-            }
-            for one in result.channels
-            if one.verdict != "ok"
-        ],
+        "verdicts": [vars(one) for one in result.channels if one.verdict != "ok"],
         "warnings": [notice.as_json() for notice in result.notices],
-        "provenance": dict(motion.provenance),
-        "files": list(files),
+        "provenance": motion.provenance,
+        "files": files,
     }
+    plain: dict[str, Any] = documents.as_json(content)
+    return plain
 
 
 if __name__ == "__main__":

@@ -106,32 +106,24 @@ def pose_sd(result: MotionResult) -> tuple[float, float]:
 
 
 def registration_json(result: MotionResult) -> dict[str, Any]:
-    """Return pose, residuals, distances from surfaces, lasers and calibration as JSON."""
-    fit = result.placement.registration
+    """Return pose, residuals, distances from surfaces, lasers and calibration for JSON."""
+    fit, transform = result.placement.registration, result.placement.transform
     found: dict[str, Any] = {
-        "footplate_from_source": result.placement.transform.matrix.tolist(),
-        "source_frame": result.placement.transform.source,
+        "footplate_from_source": transform.matrix,
+        "source_frame": transform.source,
+        "surface_checks": [
+            {key: getattr(one, key) for key in ("body", "rms_mm", "p_value", "points")}
+            for one in result.checks
+        ],
     }
     if fit is not None:
         turn, shift = pose_sd(result)
-        found["registration"] = {
-            "names": list(fit.names),
-            "residuals_mm": fit.residuals_mm.tolist(),
-            "rms_mm": fit.rms_mm,
-            "chi2": fit.chi2 if np.isfinite(fit.chi2) else None,
-            "n_dof": fit.n_dof,
-            "footplate_centre_sd_mm": shift,
-            "turn_sd_deg": turn,
-        }
-    if result.checks:
-        found["surface_checks"] = [
-            {"body": one.body, "rms_mm": one.rms_mm, "p_value": one.p_value, "points": list(one.points)}
-            for one in result.checks
-        ]
-    if result.errors is not None and (rows := result.errors.shown.rows()):
+        known = {key: getattr(fit, key) for key in ("names", "residuals_mm", "rms_mm", "chi2", "n_dof")}
+        found["registration"] = {**known, "footplate_centre_sd_mm": shift, "turn_sd_deg": turn}
+    if result.errors is not None:
         keys = ("name", "value", "sd", "stated_sd", "unit")
         name = "calibration" if result.errors.calibrated else "lasers"
-        found[name] = [dict(zip(keys, row, strict=True)) for row in rows]
+        found[name] = [dict(zip(keys, row, strict=True)) for row in result.errors.shown.rows()]
     return found
 
 
