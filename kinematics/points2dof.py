@@ -12,9 +12,14 @@ import numpy as np
 
 from kinematics.faults.checks import Screened, check_measurement, empty_faults, screen_zeros
 from kinematics.faults.correct import Correction, corrected, on_all_bodies
-from kinematics.faults.other_body import points_of_other_bodies
 from kinematics.faults.search import Diagnosis, diagnose
-from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices, left_out_verdicts
+from kinematics.faults.verdicts import (
+    ChannelVerdict,
+    channel_verdicts,
+    fault_notices,
+    left_out_verdicts,
+    points_of_other_bodies,
+)
 from kinematics.fit.beams import BeamSet, beam_set
 from kinematics.fit.noise import fit_with_noise
 from kinematics.fit.reference import parse_reference, per_reference
@@ -108,7 +113,9 @@ def measure_motion(
     corrections: list[Correction] = []
     if options.correct:
         applied = on_all_bodies(found, diagnoses)
-        fitted, corrections = _correct(fitted, applied, options)
+        starts, freq_hz = body_starts(found), placed.freq_hz
+        corrections = [corrected(body, applied[k], freq_hz, starts[k]) for k, body in enumerate(found)]
+        fitted = _fit(replace(fitted.placed, bodies=tuple(one.body for one in corrections)), options)
         notices += [notice for one in corrections for notice in one.notices]
     estimate = agreement(fitted.placed, applied, options.laser_sd, options.calibrate, options.correct)
     if estimate is not None:
@@ -184,20 +191,6 @@ def _search(fitted: _Fitted, options: MotionOptions) -> dict[int, Diagnosis]:
             placed.line_spread,
         )
     return found
-
-
-def _correct(
-    fitted: _Fitted, diagnoses: Mapping[int, Diagnosis], options: MotionOptions
-) -> tuple[_Fitted, list[Correction]]:
-    """Return the fits of bodies with what was found applied."""
-    placed = fitted.placed
-    starts = body_starts(placed.bodies)
-    done = [
-        corrected(body, diagnoses[number], placed.freq_hz, starts[number])
-        for number, body in enumerate(placed.bodies)
-    ]
-    bodies = tuple(one.body for one in done)
-    return _fit(replace(placed, bodies=bodies), options), done
 
 
 def _verdicts(

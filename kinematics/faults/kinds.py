@@ -7,20 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from kinematics.joint import tangents
 from kinematics.joint.expected import Layout
-from kinematics.joint.tangents import (
-    BEAM_U,
-    BEAM_V,
-    DELAY,
-    GAIN,
-    GAIN_DRIFT,
-    PHASE,
-    PHASE_DRIFT,
-    SHIFT,
-    TURN,
-    Geometry,
-    Parameters,
-)
+from kinematics.joint.tangents import Geometry, Parameters
 from stapeskit.arrays import Array
 
 SHARE = {"channel": 1.0, "point": 0.3, "laser": 1.0, "body": 0.3}
@@ -38,14 +27,18 @@ class Kind:
     courses: bool = False
 
 
+_BEAMS = ("channel", "point", "laser")
+
 KINDS: dict[str, Kind] = {
-    "gain": Kind((GAIN,), ("channel", "point", "laser"), "gain"),
-    "phase": Kind((GAIN, PHASE), ("channel", "point", "laser"), "gain"),
-    "delay": Kind((DELAY,), ("channel", "point", "laser"), "gain", True),
-    "drift": Kind((GAIN, PHASE, GAIN_DRIFT, PHASE_DRIFT), ("channel", "point", "laser"), "drift", True),
-    "direction": Kind((BEAM_U, BEAM_V), ("channel", "laser"), "direction"),
-    "position": Kind(SHIFT, ("point",), "position"),
-    "axes": Kind(TURN, ("body",), "direction"),
+    "gain": Kind((tangents.GAIN,), _BEAMS, "gain"),
+    "phase": Kind((tangents.GAIN, tangents.PHASE), _BEAMS, "gain"),
+    "delay": Kind((tangents.DELAY,), _BEAMS, "gain", True),
+    "drift": Kind(
+        (tangents.GAIN, tangents.PHASE, tangents.GAIN_DRIFT, tangents.PHASE_DRIFT), _BEAMS, "drift", True
+    ),
+    "direction": Kind((tangents.BEAM_U, tangents.BEAM_V), ("channel", "laser"), "direction"),
+    "position": Kind(tangents.SHIFT, ("point",), "position"),
+    "axes": Kind(tangents.TURN, ("body",), "direction"),
 }
 """Kinds by name. A new kind is one entry here and one sentence in sentences.py."""
 

@@ -1,4 +1,4 @@
-"""One round of the search and its alarm level: the fit under accepted faults, its noise, all tests.
+"""One round of the search: the fit under accepted faults, its noise, all tests, and what they would find.
 
 Shapes: c channels.
 """
@@ -6,12 +6,13 @@ Shapes: c channels.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from kinematics.faults.kinds import SHARE, places
-from kinematics.faults.scores import Noise, Test, score_tests
+from kinematics.faults.kinds import KINDS, SHARE, Place, places
+from kinematics.faults.scores import Noise, Test, informations, score_tests
 from kinematics.faults.unstated_noise import unknown_noise
 from kinematics.joint.estimate import Estimate, State, joint
 from kinematics.joint.expected import Layout
@@ -26,6 +27,8 @@ ALARM_SHARES = (0.6, 0.25, 0.1)
 """Shares of it of the tests of kinds, of the noise of channels, and of the sum of all squares. Tests of kinds
 that contain each other are weighted as if each were alone and the owners independent (`SHARE`), which makes
 1.1 times as many alarms (2 000 simulated files); the sum is 1.0."""
+POWER = 0.9
+"""Probability with which a fault of the reported size is found."""
 _LEVEL_ROUNDS = 2  # of the noise of channels: wrong weights put noise into the columns that hold the motion
 _STATED = 1e-4  # sd of a logarithm that is as good as none
 
@@ -163,3 +166,50 @@ def null_fit(readings: Readings, layout: Layout) -> Round:
     tests = tuple(score_tests(estimate.state, expected, places(layout, live)))
     noise = Noise() if stated else unknown_noise(estimate, tests, levels.unsure)
     return Round(readings, layout, packed, expected, estimate, noise, tests, levels)
+
+
+class Detectable(NamedTuple):
+    """The smallest fault that is found with a probability of 90 %.
+
+    Its size is in 1, rad, s or m, along the least visible direction of the kind; infinite where one never
+    shows.
+    """
+
+    place: Place
+    kind: str
+    size: float
+
+
+def detectable(now: Round) -> list[Detectable]:
+    """Return the smallest fault of every kind at every place that would be found.
+
+    Notes
+    -----
+    The score test has the non-centrality x^T N x for a fault x with information N (motion and expected errors
+    free). It is found where that is as large as the alarm level and the power ask for; the level of noise
+    that is not stated counts with its own degrees of freedom.
+    """
+    owners = [test.place.owner for test in now.tests]
+    found = []
+    looked_at = places(now.layout, now.live)
+    every, _, all_information = informations(now.state, now.expected, looked_at)
+    for place, kinds, information in zip(looked_at, every, all_information, strict=True):
+        chance = ALARM * SHARE[place.owner] / max(owners.count(place.owner), 1)
+        for kind in kinds:
+            tangents = list(KINDS[kind].tangents)
+            need = noncentrality(len(tangents), chance, now.noise) * now.noise.level
+            value = np.linalg.eigvalsh(information[np.ix_(tangents, tangents)])
+            seen = value[0] > 1e-9 * max(value[-1], 1e-300)
+            found.append(Detectable(place, kind, float(np.sqrt(need / value[0])) if seen else float("inf")))
+    return found
+
+
+@cache
+def noncentrality(freedom: int, chance: float, noise: Noise) -> float:
+    """Return the non-centrality at which a test of level ``chance`` has the power `POWER`."""
+    from scipy.special import chdtri, chndtrinc, fdtri
+
+    level = chdtri(freedom, chance)
+    if np.isfinite(noise.freedom):
+        level = freedom * fdtri(freedom, noise.freedom, 1.0 - chance)
+    return float(chndtrinc(level, freedom, 1.0 - POWER))

@@ -11,18 +11,9 @@ from functools import cached_property
 
 import numpy as np
 
+from kinematics.joint import tangents
 from kinematics.joint.pack import Packed
-from kinematics.joint.tangents import (
-    BEAM_U,
-    COUNT,
-    DELAY,
-    GAIN,
-    GAIN_DRIFT,
-    PHASE,
-    PHASE_DRIFT,
-    Geometry,
-    Parameters,
-)
+from kinematics.joint.tangents import Geometry, Parameters
 from stapeskit.arrays import Array, ComplexArray
 
 _SMALL = 1e-9  # singular values of the beams, over the largest, that count as zero
@@ -151,14 +142,14 @@ class State:
         lift = packed.visible
         weight = self.weight[:, :, None]
         read = weight * ((self.rows @ lift) @ z)
-        shape = (COUNT, read.shape[1], *read.shape[::2])
+        shape = (tangents.COUNT, read.shape[1], *read.shape[::2])
         t = np.empty(shape, dtype=complex)
         tau, omega = packed.tau[:, None, None], packed.omega[:, None, None]
-        simple = {GAIN: read, PHASE: 1j * read, DELAY: -1j * omega * read, GAIN_DRIFT: tau * read}
-        simple[PHASE_DRIFT] = 1j * simple[GAIN_DRIFT]
+        simple = {tangents.GAIN: read, tangents.PHASE: 1j * read, tangents.DELAY: -1j * omega * read}
+        simple |= {tangents.GAIN_DRIFT: tau * read, tangents.PHASE_DRIFT: 1j * tau * read}
         for kind, values in simple.items():
             t[kind] = values.swapaxes(0, 1)
-        for kind in range(BEAM_U, COUNT):
+        for kind in range(tangents.BEAM_U, tangents.COUNT):
             changed = (geometry.row_tangents(kind) / packed.scale) @ lift
             t[kind] = (weight * (changed @ z)).swapaxes(0, 1)
         return t
@@ -167,7 +158,7 @@ class State:
     def flat(self) -> Array:
         """Tangents as real numbers, (c, 13, 2 G n)."""
         t = np.ascontiguousarray(self.t.transpose(1, 0, 2, 3))
-        return t.reshape(len(t), COUNT, -1).view(float)
+        return t.reshape(len(t), tangents.COUNT, -1).view(float)
 
     @cached_property
     def b(self) -> Array:
@@ -185,7 +176,7 @@ class State:
         own = list(channels)
         q = np.broadcast_to(self.q, (len(self.e), *self.q.shape[1:]))[:, own].transpose(1, 0, 2)
         product = q[:, None, :, :, None] * self.t[:, own].swapaxes(0, 1)[:, :, :, None, :]
-        return np.ascontiguousarray(product).reshape(len(own), COUNT, -1).view(float)
+        return np.ascontiguousarray(product).reshape(len(own), tangents.COUNT, -1).view(float)
 
     def projection(self, parameters: Parameters) -> Array:
         """Return the products of parameters (p,) with the motion, (p, D), real."""

@@ -56,9 +56,8 @@ def spectra_figure(motion: RigidMotion) -> Figure:
                 lines = decimate_lines(np.abs(q), most)
                 look = {"color": colour_of(body_name, motion.bodies), "ls": RUN_STYLES[run % len(RUN_STYLES)]}
                 label = body_name if len(motion.runs) == 1 else f"{body_name}, run {motion.runs[run]}"
-                _curve(
-                    amplitude, phase, motion.freq_hz[lines] / 1e3, q[lines], spread[lines], plain(label), look
-                )
+                look["label"] = plain(label)
+                _curve((amplitude, phase), motion.freq_hz[lines] / 1e3, q[lines], spread[lines], look)
                 size = np.abs(q)[np.isfinite(q) & (q != 0.0)]
                 extent += [float(size.min()), float(size.max())] if size.size else []
         per = f" / {motion.reference}" if motion.reference else ""
@@ -77,15 +76,10 @@ def spectra_figure(motion: RigidMotion) -> Figure:
 
 
 def _curve(
-    amplitude: Axes,
-    phase: Axes,
-    freq_khz: Array,
-    q: ComplexArray,
-    sd: Array,
-    label: str,
-    look: dict[str, Any],
+    axes: tuple[Axes, Axes], freq_khz: Array, q: ComplexArray, sd: Array, look: dict[str, Any]
 ) -> None:
     """Draw amplitude and phase of one motion with their bands."""
+    amplitude, phase = axes
     size = np.abs(q)
     good = np.isfinite(size) & (size > 0.0)
     if not np.any(good):
@@ -94,7 +88,7 @@ def _curve(
     look = {**look, "marker": "." if len(q) < 8 else ""}
     low = np.maximum(size - wide, 0.2 * float(size.min()))
     amplitude.fill_between(freq_khz, low, size + wide, color=look["color"], alpha=0.22, lw=0)
-    amplitude.plot(freq_khz, size, label=label, **look)
+    amplitude.plot(freq_khz, size, **look)
     angle = np.rad2deg(np.angle(q))
     spread = np.minimum(np.rad2deg(wide / size), 180.0)
     phase.fill_between(freq_khz, angle - spread, angle + spread, color=look["color"], alpha=0.16, lw=0)

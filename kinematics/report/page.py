@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinematics.faults.detectable import POWER, detectable
+from kinematics.faults.rounds import POWER, detectable
 from kinematics.report.figures import MOST_RUNS, residual_figure, spectra_figure
 from kinematics.report.motion import motion_scene
 from kinematics.report.tables import motion_rows, summary_rows
@@ -29,13 +29,10 @@ _SENTENCES = {
 }
 _MOST_ROWS = 60  # of the table of verdicts
 _UNITS = {
-    "gain": ("%", 100.0),
-    "phase": ("%", 100.0),
+    **dict.fromkeys(("gain", "phase", "drift"), ("%", 100.0)),
+    **dict.fromkeys(("direction", "axes"), ("°", 180.0 / np.pi)),
     "delay": ("µs", 1e6),
-    "drift": ("%", 100.0),
-    "direction": ("°", 180.0 / np.pi),
     "position": ("µm", 1e6),
-    "axes": ("°", 180.0 / np.pi),
 }
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinematics.faults.correct import corrected
-from kinematics.faults.detectable import detectable
+from kinematics.faults.rounds import detectable
 from kinematics.faults.search import diagnose
 from kinematics.faults.verdicts import WORDS, channel_verdicts, fault_notices, write_channels
 from simulate import KINDS as SIMULATED
