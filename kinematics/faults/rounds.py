@@ -153,10 +153,8 @@ def null_fit(readings: Readings, layout: Layout) -> Round:
     expected = layout.expected(live)
     estimate = joint(packed, expected)
     levels = ChannelLevels.as_assumed(len(layout.points))
-    if readings.known is None or readings.known.any():
-        for _ in range(_LEVEL_ROUNDS):
-            levels = channel_levels(estimate.state, layout.laser, levels.level, readings.known)
-            estimate = joint(packed.scaled(levels.level[None]), expected, estimate.values)
+    for _ in range(_LEVEL_ROUNDS if readings.known is None or readings.known.any() else 0):
+        levels = channel_levels(estimate.state, layout.laser, levels.level, readings.known)
         packed = pack(replace(readings, noise_factor=readings.noise_factor * levels.level))
         estimate = joint(packed, expected, estimate.values)
     if not stated and packed.turned:

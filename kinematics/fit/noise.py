@@ -22,7 +22,7 @@ FLOOR = 1e-12
 
 _LEAST_LEVEL_DOF = 4.0  # of a level of noise: the mean of 1 over fewer grows beyond 2, for 2 without end
 _LEVEL_ROUNDS = 6  # of channels: with wrong weights, residuals of quiet ones hold the noise of loud ones
-_LEVEL_LINES = 2000  # that show the level of a channel, to 1.6 %
+_LEVEL_LINES, _LEVEL_KNOWN = 2000, 0.016  # lines that show the level of a channel, and how well
 _ROBUST_ROUNDS = 3  # of level and motion in turn; the second changes the level by less than its own sd
 
 
@@ -34,7 +34,7 @@ def fit_with_noise(
     sd = assumed_sd(body, run)
     if body.is_noise_stated:
         return fit_lines(beams, value, sd, rate, robust), []
-    levels = _levels(measurement, body, beams, run)
+    levels = _levels(measurement, body, beams, run, sd)
     if body.sd is None:
         sd = np.broadcast_to(levels.level[:, None] * sd[:, :1], sd.shape)
     fit = fit_lines(beams, value, sd, rate)
@@ -81,19 +81,23 @@ def _unsure_noise(fit: LineFit, unsure: Array) -> float:
     return (1.0 + weights) * freedom / (freedom - 2.0)
 
 
-def _levels(measurement: Measurement, body: BodyChannels, beams: BeamSet, run: int) -> ChannelLevels:
+def _levels(
+    measurement: Measurement, body: BodyChannels, beams: BeamSet, run: int, sd: Array
+) -> ChannelLevels:
     """Return the noise of channels over the middle one from lines of the body all over the band."""
     measured = np.flatnonzero(np.isfinite(body.value[run]).any(axis=0))
     some = measured[:: max(1, len(measured) // _LEVEL_LINES)]
     value, rate = body.value[run][:, some], measurement.per_displacement[some]
-    sd, levels = assumed_sd(body, run)[:, some], ChannelLevels.as_assumed(len(value))
+    sd, levels = sd[:, some], ChannelLevels.as_assumed(len(value))
     if body.sd is not None or fit_lines(beams, value, sd, rate).solution.is_rounding():
         return levels
     readings = Readings.of(value[None], sd[None], measurement.freq_hz[some], body.arms_m, body.directions)
     lasers = laser_numbers(body.directions)
-    packed = pack(readings)
-    for _ in range(_LEVEL_ROUNDS):
-        levels = channel_levels(State(packed.scaled(levels.level[None])), lasers, levels.level)
+    for _ in range(_LEVEL_ROUNDS):  # packed anew: columns without motion depend on the weights
+        state, before = State(pack(replace(readings, noise_factor=levels.level))), levels.level
+        levels = channel_levels(state, lasers, before)
+        if np.all(np.abs(levels.level - before) < _LEVEL_KNOWN * before):
+            break
     return levels
 
 

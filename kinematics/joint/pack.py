@@ -148,8 +148,8 @@ class Packed:
         return int(2 * np.sum(np.count_nonzero(self.w, axis=1) * self.columns))
 
     def scaled(self, levels: Array) -> Packed:
-        """Return the values over noise that is ``levels`` (G,), (1, c) or (G, c) times as large."""
-        by = np.broadcast_to(levels[:, None] if levels.ndim == 1 else levels, self.w.shape)[:, :, None]
+        """Return the values over noise that is ``levels`` (G,) or (G, c) times as large."""
+        by = np.broadcast_to(levels.reshape(len(self.y), -1), self.w.shape)[:, :, None]
         return replace(self, y=self.y / by, w=self.w / by[:, :, 0], rest=self.rest / by)
 
 

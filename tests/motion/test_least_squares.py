@@ -63,6 +63,20 @@ def test_mean_squares_reach_the_bound_and_intervals_cover(case):
     assert np.max(np.abs(energy[known] / fit.freedom[known] - 1.0)) < 6.0 * np.sqrt(2.0 / lines)
 
 
+@pytest.mark.parametrize("seed", [40, 42])
+def test_noise_of_channels_that_differ_is_found_from_the_residuals(seed):
+    """Quiet channels with much leverage among them: weights that err change what columns hold no motion."""
+    recording, rng = recorded(seed, lines=3000, exact=True), np.random.default_rng(seed)
+    measured = as_measurement(recording, stated=False)
+    value = measured.bodies[0].value
+    sd = 0.01 * np.sqrt(np.mean(np.abs(value) ** 2)) * 10.0 ** rng.uniform(-0.5, 0.5, (27, 1))
+    body = replace(measured.bodies[0], value=value + sd * noise_of(rng, value.shape))
+    _body, (fit,) = fitted(replace(measured, bodies=(body,)))
+    error = fit.q - recording.motion_m["stapes"][0]
+    ratio = np.mean(np.abs(error) ** 2, axis=0) / np.diagonal(fit.covariance, axis1=1, axis2=2).mean(axis=0)
+    assert np.all((ratio > 0.85) & (ratio < 1.15))
+
+
 def test_noise_of_a_line_scales_its_fit():
     _body, (fit,) = fitted(as_measurement(recorded(1)))
     factor = 10.0 ** np.random.default_rng(4).uniform(-1.0, 1.0, fit.value.shape[1])
