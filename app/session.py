@@ -64,7 +64,7 @@ class Session:
             lacks = lacking(of)
             if of.file is not None and not of.is_mesh and not lacks:
                 with of.as_keys():
-                    self.scan = open_scan(of.file, of.spacing_mm, of.mirror, of.nan_as_air)
+                    self.scan = open_scan(of.file, of.spacing_mm, of.mirror, of.nan_as_air, of.raw)
         return lacks
 
     def set_spacing(self, spacing_mm: str | None) -> str:

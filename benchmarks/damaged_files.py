@@ -26,6 +26,7 @@ from benchmarks._table import arguments, print_table
 from ct_inertia.frames.fiducials import read_plate_fiducials
 from ct_inertia.frames.landmarks import read_landmarks
 from ct_inertia.scan.open_scan import open_scan
+from ct_inertia.scan.raw import RawLayout
 from ct_inertia.surface.repair import read_mesh
 from fitting.mass import read_mass_csv
 from kinematics.readers.formats import read_file
@@ -80,7 +81,8 @@ def cases(folder: Path) -> Iterator[tuple[str, Path, Read]]:
 
 def read_scan(path: Path, case: Case) -> Any:
     """Open a scan and read all of it."""
-    return open_scan(path, spacing_mm=SPACING if case.asks else None).read()
+    layout = RawLayout((5, 6, 7), case.types[0]) if case.entry == "raw voxels" else None
+    return open_scan(path, spacing_mm=SPACING if case.asks else None, raw=layout).read()
 
 
 def damaged(content: bytes, rng: np.random.Generator) -> bytes:

@@ -111,7 +111,7 @@ def check_inputs(options: MassOptions) -> None:
         _small_inputs(options)
     if options.file is not None and not options.is_mesh:
         with collect_faults(faults):
-            open_scan(options.file, options.spacing_mm, options.mirror, options.nan_as_air)
+            open_scan(options.file, options.spacing_mm, options.mirror, options.nan_as_air, options.raw)
     raise_all(faults)
 
 
@@ -218,7 +218,9 @@ def _labelled(work: _Work, progress: Progress, inputs: Inputs) -> Labelled:
     options = work.options
     progress("reading the scan")
     if options.file is not None:
-        work.scan = open_scan(options.file, options.spacing_mm, options.mirror, options.nan_as_air)
+        work.scan = open_scan(
+            options.file, options.spacing_mm, options.mirror, options.nan_as_air, options.raw
+        )
         _add_files(inputs, "scan", work.scan)
         work.notices += work.scan.notices
     if options.labels is None:

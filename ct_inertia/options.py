@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from stapeskit.faults import Fault
 from stapeskit.option_types import (
@@ -12,6 +12,7 @@ from stapeskit.option_types import (
     Direction,
     Flag,
     Folder,
+    Kind,
     Masses,
     Number,
     Percent,
@@ -22,11 +23,14 @@ from stapeskit.option_types import (
     WithSd,
     Words,
     ZeroOrWithSd,
+    numbers,
+    require,
 )
 from stapeskit.options import Opt, Options, Rule
 
 if TYPE_CHECKING:
     from ct_inertia.grey.media import Coat
+    from ct_inertia.scan.raw import RawLayout
 
 ASSUMED_DENSITY = WithSd(1900.0, 200.0)
 """Density of bone, kg/m3, where nothing is given (contract); its spread is that of published models of the
@@ -47,6 +51,15 @@ _SPACING_MM = (1e-4, 3.0)  # beyond, a stapes would have 30 000 voxels a side, o
 _LEAST_COAT_UM = 1.0  # thinner than a cell: a thickness in mm. Mucosa of the middle ear has 20 to 50 um
 _COAT_GREY = (0.15, 0.05)  # of soft tissue over bone, above air, in the usual micro-CT
 _UNSTATED_COAT_SD = 1.0 / 3.0
+
+
+def _voxels(value: Any) -> tuple[int, ...]:
+    found = numbers(value, 3)
+    require(all(count == int(count) and count >= 1 for count in found))
+    return tuple(int(count) for count in found)
+
+
+Voxels = Annotated[tuple[int, ...], Kind(_voxels, "three whole numbers of voxels x, y, z", "NX,NY,NZ")]
 
 
 def is_mesh(path: Path | None) -> bool:
@@ -84,6 +97,7 @@ _VOXELS = {
     "spacing_mm": "--spacing",
     "mirror": "--mirror",
     "nan_as_air": "--nan-as-air",
+    "shape": "--shape",
     "calibration": "--calibration",
     "labels": "--labels",
     "threshold": "--threshold",
@@ -125,6 +139,10 @@ class MassOptions(Options):
             lambda v: Fault("--coat", "0, or a thickness in um", v.coat_um, "", "Mucosa has 20 to 50 um"),
         ),
         Rule(
+            lambda v: (v.shape is None) != (v.dtype is None),
+            Fault("--shape and --dtype", "given together", "one of them", "", "Both lay out raw voxels"),
+        ),
+        Rule(
             lambda v: v.labels is None and (v.stapes_label or v.plate_label) and v.file is not None,
             Fault("--stapes-label and --plate-label", "given with --labels", "without"),
         ),
@@ -161,6 +179,14 @@ class MassOptions(Options):
         Opt("reverse an axis: undoes a mirror image", _READING, "z"),
     ] = None
     nan_as_air: Annotated[Flag, Opt("count voxels that are not finite as air", _READING)] = False
+    shape: Annotated[
+        Voxels | None,
+        Opt("voxels of a file without a header, little-endian; x runs fastest", _READING, [512, 512, 600]),
+    ] = None
+    dtype: Annotated[
+        Literal["uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64"] | None,
+        Opt("type of its voxels", _READING, "uint16"),
+    ] = None
     close: Annotated[Flag, Opt("close the holes of a surface mesh", _READING)] = False
     density_kg_m3: Annotated[
         PositiveWithSd | None,
@@ -244,6 +270,15 @@ class MassOptions(Options):
     def source(self) -> Path:
         """The file that was measured: the scan, or labels alone."""
         return Path(str(self.file if self.file is not None else self.labels))
+
+    @property
+    def raw(self) -> RawLayout | None:
+        """How raw voxels lie in a scan without a header."""
+        if self.shape is None or self.dtype is None:
+            return None
+        from ct_inertia.scan.raw import RawLayout
+
+        return RawLayout(self.shape, self.dtype)
 
     @property
     def coat(self) -> Coat | None:

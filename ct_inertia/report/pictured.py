@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _FACES = 6000  # of a drawn stapes: each is less than a millimetre on paper
 _SMOOTH_VOXELS = 1.0  # of labels for a picture of their surface
-_READING = ("spacing_mm", "mirror", "nan_as_air")
+_READING = ("spacing_mm", "mirror", "nan_as_air", "shape", "dtype")
 _MARGIN_MM = 0.5  # around the stapes: a choice for the eye
 
 
@@ -153,7 +153,7 @@ def _slices(
     given = content["provenance"]["parameters"]
     known = {key: given[key] for key in _READING if key in given}
     options = MassOptions.read({**known, "file": scan_file}, "mass.json", {key: key for key in given})
-    scan = open_scan(scan_file, options.spacing_mm, options.mirror, options.nan_as_air)
+    scan = open_scan(scan_file, options.spacing_mm, options.mirror, options.nan_as_air, options.raw)
     used = used_box(labels == STAPES) or (slice(0, 1),) * 3
     z, y, x = (
         slice(max(part.start - int(np.ceil(_MARGIN_MM / h)), 0), part.stop + int(np.ceil(_MARGIN_MM / h)))

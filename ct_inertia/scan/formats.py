@@ -83,7 +83,7 @@ _NIFTI = "NIfTI-1 and -2: origin, direction and units, attached or detached; Ana
 _AIM = "versions 020 and 030: spacing and origin"
 _VGI = "a .vgi with its .vol file: spacing"
 _AMIRA = "also Avizo: binary voxels that are not packed, spacing, origin, names of label materials"
-_LAYOUT = "with a header that the refusal of a bare file dictates: a .mhd text of six lines"
+_LAYOUT = "as `--shape NX,NY,NZ --dtype uint16` say, or a .mhd text of a few lines, which a refusal dictates"
 _DICOM = "a series of slices: order by position, rescaling of every slice; several series are listed"
 _SLICES = (
     "TIFF, PNG, BMP, JPEG in the order of their numbers, gaps reported; pixel size of the Bruker/SkyScan "
@@ -125,7 +125,7 @@ def format_of(path: Path) -> Format:
     for entry in chain(named, matching):
         return entry
     known = ", ".join(entry.title for entry in FORMATS)
-    step = "Export it in one of these formats, or as .mhd with raw voxels"
+    step = "Export it in one of these formats, or as raw voxels with --shape and --dtype"
     raise StapeskitError.of("the scan", f"a volume of a known format ({known})", path.name, next_step=step)
 
 

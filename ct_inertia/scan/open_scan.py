@@ -11,9 +11,9 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.scan.formats import Format, format_of
+from ct_inertia.scan.formats import RAW, Format, format_of
 from ct_inertia.scan.place import choose_spacing, turn_right_handed
-from ct_inertia.scan.raw import find_voxels, plane_reader
+from ct_inertia.scan.raw import RawLayout, find_voxels, open_raw, plane_reader
 from ct_inertia.scan.scan import Box, Fetch, Scan
 from ct_inertia.scan.stored import Stored, wrong_file
 from stapeskit.faults import StapeskitError
@@ -29,6 +29,7 @@ def open_scan(
     spacing_mm: float | Sequence[float] | None = None,
     mirror: str | None = None,
     nan_as_air: bool = False,
+    raw: RawLayout | None = None,
 ) -> Scan:
     """Open a scan of any format of the table `ct_inertia.scan.formats.FORMATS`.
 
@@ -42,6 +43,8 @@ def open_scan(
         ``x``, ``y`` or ``z``: reverse the voxels along that axis of the grid inside the box of the scan.
     nan_as_air : bool
         Let voxels that are not finite count as air.
+    raw : RawLayout, optional
+        How voxels lie in a file without a header.
 
     Returns
     -------
@@ -54,7 +57,7 @@ def open_scan(
         The file is missing, of an unknown kind, damaged or truncated, has no spacing, or is no
         three-dimensional picture of differing grey values.
     """
-    scan = replace(_open(Path(path), spacing_mm, mirror), nan_as_air=nan_as_air)
+    scan = replace(_open(Path(path), spacing_mm, mirror, raw), nan_as_air=nan_as_air)
     middle = scan.shape[0] // 2
     plane = scan.read((slice(middle, middle + 1), slice(None), slice(None)))
     first = plane.flat[0]
@@ -105,6 +108,7 @@ def _open(
     path: Path,
     spacing_mm: float | Sequence[float] | None,
     mirror: str | None,
+    raw: RawLayout | None = None,
     labels: bool = False,
 ) -> Scan:
     """Open a file or folder as a scan on a right-handed grid; spacing and mirror are the user's.
@@ -116,8 +120,8 @@ def _open(
     """
     path = _existing(path)
     name = path.name
-    entry = format_of(path)
-    stored, fetch = _voxels(entry, path)
+    entry = format_of(path) if raw is None or path.is_dir() else RAW
+    stored, fetch = _voxels(entry, path, raw)
     if labels:  # numbers that name bodies are neither bright nor dark, and their own spacing wins
         stored.white_is_zero = False
         own = stored.spacing_mm is not None and np.all(np.isfinite(stored.spacing_mm))
@@ -185,17 +189,17 @@ def _existing(path: Path) -> Path:
     return path if path.name else path.resolve()
 
 
-def _described(entry: Format, path: Path) -> Stored:
-    stored = entry.open_file(path)
+def _described(entry: Format, path: Path, layout: RawLayout | None) -> Stored:
+    stored = open_raw(path, layout) if entry is RAW else entry.open_file(path)
     find_voxels(stored, path)
     return stored
 
 
-def _voxels(entry: Format, path: Path) -> tuple[Stored, Fetch]:
+def _voxels(entry: Format, path: Path, layout: RawLayout | None) -> tuple[Stored, Fetch]:
     """Read the header in a child process, which stays where it decodes voxels."""
 
     def open_source() -> tuple[Stored, Answer]:
-        stored = _plainly(entry, path, lambda: _described(entry, path))
+        stored = _plainly(entry, path, lambda: _described(entry, path, layout))
         decode = stored.voxels
         if not callable(decode):
             return stored, no_requests

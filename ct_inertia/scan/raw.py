@@ -7,6 +7,7 @@ import gzip
 import zlib
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -22,15 +23,36 @@ from stapeskit.faults import StapeskitError
 _THREADS = 2  # that read planes at a time
 
 
-def open_raw(path: Path) -> Stored:
-    """Refuse voxels without a header, and say what header describes them: a text of six lines."""
-    step = (
-        "Give the header beside them (.mhd, .nhdr, .vgi, .hdr) in their place, or write one: a text file "
-        f"{path.stem}.mhd of the lines ObjectType = Image, NDims = 3, DimSize = NX NY NZ, ElementType = "
-        f"MET_USHORT, ElementSpacing = H H H, ElementDataFile = {path.name}; above the last one, where they "
-        "hold, HeaderSize = BYTES and ElementByteOrderMSB = True. 8 bits are MET_UCHAR, floats MET_FLOAT"
+@dataclass(frozen=True)
+class RawLayout:
+    """How little-endian voxels lie in a file without a header: along x, y, z, of which x runs fastest."""
+
+    shape: tuple[int, ...]
+    dtype: str  # as numpy calls it: uint16
+
+
+def open_raw(path: Path, layout: RawLayout | None = None) -> Stored:
+    """Return a raw file with the layout that the user gave, which must be as long as it says."""
+    header = (
+        f"a text file {path.stem}.mhd of the lines ObjectType = Image, NDims = 3, DimSize = NX NY NZ, "
+        "ElementType = MET_USHORT, ElementSpacing = H H H, HeaderSize = BYTES, ElementByteOrderMSB = False, "
+        f"ElementDataFile = {path.name}"
     )
-    raise StapeskitError.of("the scan", "a file with a header", "raw voxels alone", path.name, step)
+    if layout is None:
+        step = "Give the header beside them (.mhd, .nhdr, .vgi, .hdr) in their place, or --shape NX,NY,NZ"
+        step += f" --dtype uint16 --spacing H, or write {header}"
+        raise StapeskitError.of("the scan", "a file with a header", "raw voxels alone", next_step=step)
+    dtype = np.dtype(layout.dtype).newbyteorder("<")
+    needed, size = dtype.itemsize * prod(layout.shape), path.stat().st_size
+    if size != needed:
+        wanted = f"as long as {_times(layout.shape)} voxels of {layout.dtype} ({needed} bytes)"
+        step = "Check --shape and --dtype"
+        if path.suffix.lower() == ".gz":
+            step = "The file is packed (gzip): unpack it first"
+        elif size > needed:
+            step += f"; if {size - needed} bytes of a header come first, write {header}"
+        raise StapeskitError.of("the raw file", wanted, f"{size} bytes", next_step=step)
+    return Stored(tuple(reversed(layout.shape)), dtype, Stream(path, 0), known="raw voxels do not have it")
 
 
 def find_voxels(stored: Stored, path: Path) -> None:

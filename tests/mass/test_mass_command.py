@@ -231,6 +231,7 @@ def test_files_of_the_user_are_not_written_over(mesh: Path, tmp_path: Path) -> N
         ({"labels": "mesh", "threshold": 3}, "--threshold"),
         ({"labels": "mesh", "spacing": 20.0}, "--spacing"),
         ({"labels": "mesh", "coat": 0.03}, "--coat"),
+        ({"labels": "mesh", "shape": (3, 3, 3)}, "--shape and --dtype"),
         ({"labels": "mesh", "close": True}, "--close"),
         ({"scan": "mesh", "stapes_label": 2}, "--stapes-label and --plate-label"),
         ({"scan": "mesh", "spacing": (1, 2, 3)}, "--spacing"),

@@ -238,6 +238,11 @@ def dicom(path, array, series="1", packed=False, spacing=SPACING, **tags):
     return path
 
 
+def raw(path, array):
+    path.write_bytes(array.astype(array.dtype.newbyteorder("<")).tobytes())
+    return path
+
+
 def ome_zarr(path, array, version="0.4", unit="micrometer", leading=(), chunk=4, spacing=SPACING, **options):
     """An image of two levels by the zarr package; ``leading`` names further axes of one entry."""
     import zarr

@@ -6,11 +6,12 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
-from ct_inertia.scan.formats import FORMATS, RAW
+from ct_inertia.scan.formats import FORMATS
 from ct_inertia.scan.open_scan import open_scan
+from ct_inertia.scan.raw import RawLayout
 from stapeskit.faults import StapeskitError
 from tests.scan_files.scan_cases import CASES
-from tests.scan_files.scan_writers import SPACING, check_corners, picture
+from tests.scan_files.scan_writers import SPACING, check_corners, picture, raw
 
 SEEDS = 12  # damages of each format; benchmarks/damaged_files.py tries as many as one asks for
 
@@ -20,7 +21,10 @@ def written(folder, name, kind=None, shape=(7, 6, 5)):
     case = CASES[name]
     array = picture(kind or case.types[0], shape)
     path = case.write(folder / name, array, **case.options)
-    return path, array, {"spacing_mm": SPACING if case.asks else None}
+    layout = None
+    if case.write is raw:
+        layout = RawLayout(array.shape[::-1], array.dtype.newbyteorder("=").name)
+    return path, array, {"spacing_mm": SPACING if case.asks else None, "raw": layout}
 
 
 @pytest.mark.parametrize(
@@ -47,7 +51,7 @@ def test_what_is_written_is_read(tmp_path, name, kind):
 
 
 def test_every_format_of_the_table_has_a_case():
-    assert {case.entry for case in CASES.values()} == {entry.title for entry in FORMATS if entry != RAW}
+    assert {case.entry for case in CASES.values()} == {entry.title for entry in FORMATS}
 
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])

@@ -12,6 +12,7 @@ import tifffile
 from PIL import Image
 
 from ct_inertia.scan.open_scan import open_labels, open_scan
+from ct_inertia.scan.raw import RawLayout
 from stapeskit.faults import StapeskitError
 from tests.scan_files import scan_writers as w
 from tests.scan_files import scanner_writers as own
@@ -299,6 +300,15 @@ def test_files_that_are_no_scans(tmp_path):
     for ending in ("tif", "nrrd", "nhdr", "mha", "nii", "nii.gz", "hdr", "isq", "aim", "vgi", "am", "dcm"):
         (tmp_path / f"junk.{ending}").write_bytes(b"NRRD0004\nhello world\n" * 20)
         refused(tmp_path / f"junk.{ending}")
+
+
+def test_raw_layouts(tmp_path):
+    path = tmp_path / "a.raw"
+    path.write_bytes(bytes(12) + picture().tobytes())
+    assert "12 bytes" in refused(path, raw=RawLayout((5, 6, 7), "uint16")).next_step
+    assert refused(path, raw=RawLayout((50000, 60000, 70000), "uint16")).thing == "the raw file"
+    (tmp_path / "a.raw.gz").write_bytes(gzip.compress(picture().tobytes()))
+    assert "gzip" in refused(tmp_path / "a.raw.gz", raw=RawLayout((5, 6, 7), "uint16")).next_step
 
 
 @pytest.mark.parametrize("write", [w.plain, w.nrrd, w.ome_zarr, w.slices])
