@@ -8,7 +8,7 @@ that no pose brings within a millimetre. The rest is named in a warning.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -138,8 +138,9 @@ def notices_of(pairs: Pairs) -> list[Notice]:
 
 
 def _check_units(pairs: Pairs) -> None:
-    """Refuse points of the same shape whose sizes differ by a factor beyond 1.5."""
-    scale, left = _scale(pairs)
+    """Refuse points of the same shape, mirrored or not, whose sizes differ by a factor beyond 1.5."""
+    mirrored = replace(pairs, source_mm=pairs.source_mm * [1.0, 1.0, -1.0])
+    scale, left = min(map(_scale, (pairs, mirrored)), key=lambda found: found[1])
     centred = pairs.target_mm - np.average(pairs.target_mm, axis=0, weights=pairs.weights)
     if 1.0 / 1.5 < scale < 1.5 or left > 0.01 * np.sum(pairs.weights[:, None] * centred**2):
         return

@@ -24,14 +24,12 @@ class Registration:
     ----------
     covariance_si : ndarray, (6, 6)
         Covariance of the small displacement e of the SOURCE frame in its own axes, about its own origin,
-        (x, y, z in m, alpha, beta, gamma in rad), for which ``transform.perturbed(e)`` is the true pose.
+        m and rad, for which ``transform.perturbed(e)`` is the true pose.
     residuals_mm, sd_mm : ndarray, (n, 3) and (n,)
         Mapped source points minus target points, in target axes; standard deviation per coordinate of each
         pair's difference, as given, or estimated from the residuals.
-    chi2, n_dof : float, int
-        Sum of (residual / sd)^2, NaN when the sd was estimated, and 3 n - 6.
-    notices : tuple of Notice
-        ``fiducials_coplanar``, ``fiducials_inconsistent``.
+    chi2
+        Sum of (residual / sd)^2, NaN when the sd was estimated.
     """
 
     transform: RigidTransform
@@ -66,16 +64,10 @@ def fit_rigid(
     source: str,
     names: Sequence[str] = (),
 ) -> Registration:
-    """Fit the rigid transform that maps source points onto target points; never a reflection.
+    """Fit the rigid transform that maps source points (n, 3) onto target points; never a reflection.
 
-    Parameters
-    ----------
-    source_mm, target_mm : array_like, (n, 3)
-        Paired points, mm, in the frames ``source`` and ``to``; at least 3, not on a line.
-    sd_mm : array_like, scalar or (n,), optional
-        Standard deviation per coordinate of the difference of a pair, mm; else the residuals give it.
-    to, source, names
-        Names of the two frames, and of the pairs, for messages.
+    ``sd_mm``, scalar or (n,), is the standard deviation per coordinate of the difference of a pair; else the
+    residuals give it. The names of the two frames and of the pairs are for messages.
 
     Raises
     ------

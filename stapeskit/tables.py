@@ -42,26 +42,14 @@ class TextColumn:
 
 @dataclass(frozen=True)
 class Table:
-    """The wanted columns of a file.
-
-    Attributes
-    ----------
-    numbers, texts
-        Columns by name, (rows,); numbers are NaN where a cell is empty.
-    lines : ndarray, (rows,)
-        Line of each row in the file, counted from 1.
-    faults : tuple of Fault
-        Cells that are no numbers and rows of another length.
-    left_out : tuple of int
-        Lines of whole rows that begin with ``#``.
-    """
+    """The wanted columns of a file by name, (rows,)."""
 
     file: str
-    numbers: Mapping[str, Array]
+    numbers: Mapping[str, Array]  # NaN where a cell is empty
     texts: Mapping[str, TextColumn]
-    lines: NDArray[np.int64]
-    faults: tuple[Fault, ...] = ()
-    left_out: tuple[int, ...] = ()
+    lines: NDArray[np.int64]  # of each row in the file, counted from 1
+    faults: tuple[Fault, ...] = ()  # cells that are no numbers, and rows of another length
+    left_out: tuple[int, ...] = ()  # lines of whole rows that begin with #
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -94,10 +82,7 @@ class _Sheet:
 def read_table(path: Path, choose: Choose) -> Table:
     """Read the wanted columns of a table.
 
-    Parameters
-    ----------
-    choose : callable
-        See `Choose`. A fault that it places in line 1 is placed in the line of the header.
+    A fault that ``choose`` places in line 1 is placed in the line of the header.
 
     Raises
     ------

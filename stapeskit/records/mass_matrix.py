@@ -20,7 +20,7 @@ from stapeskit.spatial import (
 
 FRAME_SOURCE = "frame"
 
-SOURCE_WORDS = {
+_SOURCE_WORDS = {
     "levels": "grey levels of air and bone",
     "noise": "voxel noise",
     "psf": "blur of the scan",
@@ -40,12 +40,11 @@ SOURCE_WORDS = {
     "added_mass": "added masses",
     FRAME_SOURCE: "footplate frame",
 }
-"""Sources in words, for tables of uncertainty; see `source_words`."""
 
 
 def source_words(source: str) -> str:
-    """Return the words for a source of uncertainty."""
-    return SOURCE_WORDS.get(source, source.replace("_", " "))
+    """Return the words for a source of uncertainty, for tables."""
+    return _SOURCE_WORDS.get(source, source.replace("_", " "))
 
 
 @dataclass(frozen=True, repr=False)

@@ -96,10 +96,7 @@ class MassRecord:
 def statements(record: MassRecord) -> dict[str, tuple[Any, Any]]:
     """Return, by dotted key, what in a mass.json follows from parameters, covariance and frames.
 
-    Returns
-    -------
-    dict of str to (value, scale)
-        ``scale``: the size (of each entry) that rounding is measured by; None where the value itself is text.
+    Each value stands with the size (of each entry) that rounding is measured by; None of text.
     """
     parameters = record.mass_matrix.parameters
     mass, tensor = central_tensor(parameters)

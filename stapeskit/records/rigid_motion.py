@@ -55,10 +55,8 @@ class RigidMotion:
 
     Attributes
     ----------
-    runs, bodies, dof : tuple of str
-        Names along the first, second and last axis of q; dof in the order of DOF_NAMES.
     freq_hz, q : ndarray, (freq,), ascending, and (run, body, freq, dof), complex
-        q in m and rad, peak; NaN where a body was not measured at a line.
+        q in m and rad, peak; NaN where a body was not measured at a line; dof in the order of DOF_NAMES.
     covariance : ndarray, complex
         E[dq dq^H] of the channel noise: (run, body, freq, dof, dof), or joint over bodies,
         (run, freq, body*dof, body*dof), when ``reference`` is set. The variance of the real part
@@ -67,8 +65,6 @@ class RigidMotion:
         Sum of squared normalised residuals over real and imaginary parts, and its degrees of freedom.
     reference : str
         ``BODY:DOF`` when q is per unit of that motion, else empty.
-    about, axes : str
-        Reference point and axes of q.
     """
 
     runs: tuple[str, ...]

@@ -198,17 +198,13 @@ def decimate_lines(size: Array, most: int = 400) -> Indices:
 
     Of each of most / 2 groups of neighbours the smallest and the largest stay: every peak and trough.
     """
-    lines = len(size)
-    if lines <= most:
-        return np.arange(lines)
-    edges = np.linspace(0, lines, max(1, (most - 2) // 2) + 1).round().astype(int)
+    if len(size) <= most:
+        return np.arange(len(size))
     high, low = np.where(np.isnan(size), -np.inf, size), np.where(np.isnan(size), np.inf, size)
-    width = int(np.max(np.diff(edges)))
-    groups = np.minimum(edges[:-1, None] + np.arange(width), edges[1:, None] - 1)
-    rows = np.arange(len(groups))
-    tops = groups[rows, np.argmax(high[groups], axis=1)]
-    bottoms = groups[rows, np.argmin(low[groups], axis=1)]
-    return np.unique(np.concatenate([[0, lines - 1], tops, bottoms]))
+    kept = [0, len(size) - 1]
+    for group in np.array_split(np.arange(len(size)), (most - 2) // 2):
+        kept += [group[np.argmax(high[group])], group[np.argmin(low[group])]]
+    return np.unique(kept)
 
 
 def dof_unit(name: str, per_reference: str = "") -> tuple[float, str]:

@@ -74,15 +74,9 @@ class Line:
 class Motion:
     """A harmonic motion of rigid bodies, played enlarged; its name is that of its button.
 
-    Attributes
-    ----------
-    amplitudes : ndarray, (6,) or (lines, 6), complex; or mapping of body to such an array
-        x, y, z in m, alpha, beta, gamma in rad, about the origin and along the axes of the scene, in
-        e^{+i w t}; without bodies it is the motion of ``stapes``.
-    frequency_hz : float or ndarray, (lines,)
-        With several lines the viewer has a slider for them.
-    measured : bool
-        Amplitudes are lengths and not only a shape: the viewer says how much it enlarges them.
+    Amplitudes (6,) or (lines, 6), of ``stapes`` or by body, are x, y, z in m, alpha, beta, gamma in rad,
+    about the origin and along the axes of the scene, in e^{+i w t}; several lines have a slider. ``measured``
+    ones are lengths and not only a shape: the viewer says how much it enlarges them.
     """
 
     name: str

@@ -115,6 +115,7 @@ def test_units_are_named():
     for unit, size_mm in {"m": 1e3, "inches": 25.4, "cm": 10.0}.items():
         assert f"vibrometer coordinates seem to be in {unit}" in refused(SEEN / size_mm).next_step
         assert f"plate coordinates seem to be in {unit}" in refused(SEEN * size_mm).next_step
+    assert "vibrometer coordinates seem to be in m" in refused(1e-3 * SEEN * [1, 1, -1]).next_step
     assert "seem" not in refused(3.0 * SEEN).next_step
 
 
