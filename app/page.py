@@ -25,6 +25,7 @@ with app.setup:
     from app.study_file import StudyFile
     from ct_inertia.options import ASSUMED_DENSITY
     from fitting.options import COMPARE, DAMPING, KDOptions
+    from pipeline.new_study import LAYOUT, SPACING
     from stapeskit.command import fault_sentence
     from stapeskit.report import page
 
@@ -123,28 +124,32 @@ def choose():
 def scan_controls(browser):
     get_study()
 
-    def typed(words):
-        """Open the scan at once with what it may not say of its voxels."""
+    def voxel_field(label, example, keys):
+        """Make a field of what the scan may not say of its voxels; the scan is opened with it at once."""
 
-        def action():
-            return session.set_spacing(words.strip() or None) or "The scan is shown with these voxels."
+        def typed(words):
+            parts = words.rsplit(maxsplit=len(keys) - 1) if words.strip() else []
+            said = dict.fromkeys(keys) | dict(zip(keys, parts, strict=False))
 
-        attempt(action, set_picture, set_results)
+            def action():
+                return session.set_voxels(**said) or "The scan is shown with these voxels."
+
+            attempt(action, set_picture, set_results)
+
+        value = " ".join(as_words(stated("scan", key)) for key in keys).strip()
+        return mo.ui.text(value, label=label, placeholder=example, on_change=typed)
 
     name = mo.ui.text(session.study.path.stem if session.study.text else "", label="name")
     density = mo.ui.text(str(stated("scan", "density_kg_m3") or ASSUMED_DENSITY), label="density, kg/m³")
     side = mo.ui.dropdown(
         ["left", "right"], value=stated("study", "side") or stated("scan", "side"), label="side"
     )
-    spacing = mo.ui.text(
-        as_words(stated("scan", "spacing_mm")),
-        label="voxel, mm",
-        placeholder="as the scan says",
-        on_change=typed,
-    )
+    voxels = [voxel_field("voxel, mm", "as the scan says", SPACING)]
+    if session.lacking == LAYOUT:
+        voxels.insert(0, voxel_field("voxels x, y, z, type", "512,512,600 uint16", LAYOUT))
     measure = step_button("Measure", "found", lambda: session.set_scan(name.value, density.value, side.value))
     hint = "Another body was found, or none? Mark a place in it, or a box around it, in step 3."
-    scan_step = listed(browser, beside(name, density), beside(side, spacing), measure, mo.md(hint))
+    scan_step = listed(browser, beside(name, density), beside(side, *voxels), measure, mo.md(hint))
     return (scan_step,)
 
 

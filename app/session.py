@@ -32,6 +32,7 @@ class Session:
     def __init__(self, study: StudyFile) -> None:
         self.study, self.marks = study, Marks(study)  # empty ones until a scan or a study is chosen
         self.scan: Scan | None = None
+        self.lacking: tuple[str, ...] = ()  # keys of [scan] without which the scan cannot be opened
         self.drawing: Drawing | None = None  # labels, once the stapes was found
         self.job: Job | None = None  # the step at work, or the last one
         self.mass: dict[str, dict[str, Any]] = {}  # content of mass.json of ``found`` and ``cut``
@@ -61,19 +62,19 @@ class Session:
         self.scan, self.drawing, self.mass, lacks = None, None, {}, ""
         if "scan" in self.study.tables:
             of = self.study.mass_options(hand_work=False)
-            lacks = lacking(of)
+            self.lacking, lacks = lacking(of)
             if of.file is not None and not of.is_mesh and not lacks:
                 with of.as_keys():
                     self.scan = open_scan(of.file, of.spacing_mm, of.mirror, of.nan_as_air, of.raw)
         return lacks
 
-    def set_spacing(self, spacing_mm: str | None) -> str:
-        """Write the spacing of the voxels into the study; return what the scan still lacks."""
+    def set_voxels(self, **words: str | None) -> str:
+        """Write spacing or layout of the voxels into the study; return what the scan still lacks."""
         self._check_idle()
         if self.study.path.exists():
-            self.study.put("scan", spacing_mm=spacing_mm)
+            self.study.put("scan", **words)
         else:  # it is saved with the first step: until then its name can change
-            self.study.text = self.study.checked("scan", spacing_mm=spacing_mm)
+            self.study.text = self.study.checked("scan", **words)
         return self.open_scan()
 
     def _check_idle(self) -> None:

@@ -81,7 +81,7 @@ def cases(folder: Path) -> Iterator[tuple[str, Path, Read]]:
 
 def read_scan(path: Path, case: Case) -> Any:
     """Open a scan and read all of it."""
-    layout = RawLayout((5, 6, 7), case.types[0]) if case.entry == "raw voxels" else None
+    layout = None if case.raw is None else RawLayout((5, 6, 7), case.types[0], **case.raw)
     return open_scan(path, spacing_mm=SPACING if case.asks else None, raw=layout).read()
 
 

@@ -9,6 +9,7 @@ from stapeskit.faults import Fault
 from stapeskit.option_types import (
     Box,
     Count,
+    CountOrZero,
     Direction,
     Flag,
     Folder,
@@ -143,6 +144,10 @@ class MassOptions(Options):
             Fault("--shape and --dtype", "given together", "one of them", "", "Both lay out raw voxels"),
         ),
         Rule(
+            lambda v: v.shape is None and (v.byte_order or v.header_bytes is not None),
+            Fault("--byte-order and --header-bytes", "given with --shape and --dtype", "alone"),
+        ),
+        Rule(
             lambda v: v.labels is None and (v.stapes_label or v.plate_label) and v.file is not None,
             Fault("--stapes-label and --plate-label", "given with --labels", "without"),
         ),
@@ -181,12 +186,17 @@ class MassOptions(Options):
     nan_as_air: Annotated[Flag, Opt("count voxels that are not finite as air", _READING)] = False
     shape: Annotated[
         Voxels | None,
-        Opt("voxels of a file without a header, little-endian; x runs fastest", _READING, [512, 512, 600]),
+        Opt("voxels of a file without a header; x runs fastest", _READING, [512, 512, 600]),
     ] = None
     dtype: Annotated[
         Literal["uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64"] | None,
         Opt("type of its voxels", _READING, "uint16"),
     ] = None
+    byte_order: Annotated[
+        Literal["little", "big"] | None,
+        Opt("order of its bytes; default little", _READING, "little"),
+    ] = None
+    header_bytes: Annotated[CountOrZero | None, Opt("bytes before its voxels; default 0", _READING, 0)] = None
     close: Annotated[Flag, Opt("close the holes of a surface mesh", _READING)] = False
     density_kg_m3: Annotated[
         PositiveWithSd | None,
@@ -278,7 +288,7 @@ class MassOptions(Options):
             return None
         from ct_inertia.scan.raw import RawLayout
 
-        return RawLayout(self.shape, self.dtype)
+        return RawLayout(self.shape, self.dtype, self.byte_order or "little", self.header_bytes or 0)
 
     @property
     def coat(self) -> Coat | None:

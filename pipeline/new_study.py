@@ -23,14 +23,16 @@ SAMPLE = "stapeskit sample"  # writes inputs, not results
 _LOOKED_AT = 1 << 16  # bytes of a text: headers of exports end before
 _VALUE = re.compile(r"(?<![\w.])[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?(?![\w])")
 Ask = Callable[[str], str]
-SPACING = "spacing_mm"
-QUESTIONS = {
+LAYOUT, SPACING = ("shape", "dtype"), ("spacing_mm",)
+QUESTIONS: dict[tuple[str, ...], str] = {
+    LAYOUT: "Voxels along x, y, z and their type, which no file says, as NX,NY,NZ uint16 "
+    "(empty: filled in later): ",
     SPACING: "Size of a voxel in mm, H or DX,DY,DZ, which no file says (empty: filled in later): ",
-    "density_kg_m3": f"Density of the bone, kg/m3, as VALUE+-SD (empty: {ASSUMED_DENSITY} is assumed): ",
-    "side": "Left or right ear (empty: not known): ",
-    "anterior": "Direction towards anterior in scan axes, x,y,z (empty: not known): ",
+    ("density_kg_m3",): f"Density of the bone, kg/m3, as VALUE+-SD (empty: {ASSUMED_DENSITY} is assumed): ",
+    ("side",): "Left or right ear (empty: not known): ",
+    ("anterior",): "Direction towards anterior in scan axes, x,y,z (empty: not known): ",
 }
-"""What no file says, by keys of [scan]; the options of ct2mass check the answers."""
+"""What no file says, by keys of [scan], a word each; the options of ct2mass check the answers."""
 
 
 @dataclass(frozen=True)
@@ -167,31 +169,38 @@ def _answers(ask: Ask, scan: Path) -> dict[str, Any]:
 
     options = MassOptions.of(scan=scan)
     answers: dict[str, Any] = {}
-    for key, asked in QUESTIONS.items():
-        if key == SPACING and not lacking(options):
+    for keys, asked in QUESTIONS.items():
+        if keys in (LAYOUT, SPACING) and lacking(options)[0] != keys:
             continue
         question = asked
         while answer := ask(question).strip():
+            words = dict(zip(keys, answer.rsplit(maxsplit=len(keys) - 1), strict=False))
             try:
-                options = MassOptions.of(scan=scan, **answers, **{key: answer})
-                answers[key] = getattr(options, key)
+                options = MassOptions.of(scan=scan, **answers, **words)
+                answers |= {key: getattr(options, key) for key in keys}
                 break
             except StapeskitError as error:
                 question = f"{error} {asked}"
     return answers
 
 
-def lacking(scan: MassOptions) -> str:
-    """Return the sentence that no file says the spacing of a scan; empty where something else is wrong."""
+def lacking(scan: MassOptions) -> tuple[tuple[str, ...], str]:
+    """Return the keys of [scan] without which a scan cannot be opened, and the sentence that says so.
+
+    `LAYOUT` for raw voxels, `SPACING` where no file says it; empty where the scan can be opened, or where
+    something else is wrong.
+    """
     from ct_inertia.ct2mass import check_inputs
 
     try:
         with scan.as_keys():
             check_inputs(scan)
     except StapeskitError as error:
+        if scan.file is not None and scan.raw is None and _is_raw(scan.file):
+            return LAYOUT, str(error)
         if any(fault.thing == "the voxel spacing" for fault in error.faults):
-            return str(error)
-    return ""
+            return SPACING, str(error)
+    return (), ""
 
 
 def _is_raw(path: Path) -> bool:
@@ -238,10 +247,12 @@ def study_text(
                      "plate_fiducials": "plate fiducials in the scan"}  # fmt: skip
     places = {"points": "positions of the points", "fiducials": "ties vibrometer and plate"}
     bone = "bone" if "density_kg_m3" in answers else "ASSUMED while this line is a comment: state your own"
+    layout = {"shape": ([512, 512, 600], "voxels along x, y, z"), "dtype": ("uint16", "type of a voxel")}
     tables = {
         "study": [line("name", name, "in reports"), line("notes", "", "incus, cochlea, storage ...")],
         "scan": [
             line("file", scan.name, "volume, folder of slices, or mesh"),
+            *(asked(key, *words) for key, words in layout.items() if _is_raw(scan)),
             asked("spacing_mm", 0.02, "voxel size, where the scan does not carry it"),
             asked("density_kg_m3", str(ASSUMED_DENSITY), bone),
             asked("side", "left", "names z superior or inferior"),

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _FACES = 6000  # of a drawn stapes: each is less than a millimetre on paper
 _SMOOTH_VOXELS = 1.0  # of labels for a picture of their surface
-_READING = ("spacing_mm", "mirror", "nan_as_air", "shape", "dtype")
+_READING = ("spacing_mm", "mirror", "nan_as_air", "shape", "dtype", "byte_order", "header_bytes")
 _MARGIN_MM = 0.5  # around the stapes: a choice for the eye
 
 

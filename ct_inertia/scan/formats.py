@@ -83,7 +83,9 @@ _NIFTI = "NIfTI-1 and -2: origin, direction and units, attached or detached; Ana
 _AIM = "versions 020 and 030: spacing and origin"
 _VGI = "a .vgi with its .vol file: spacing"
 _AMIRA = "also Avizo: binary voxels that are not packed, spacing, origin, names of label materials"
-_LAYOUT = "as `--shape NX,NY,NZ --dtype uint16` say, or a .mhd text of a few lines, which a refusal dictates"
+_LAYOUT = (
+    "as `--shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N]` say (also keys of `[scan]`)"
+)
 _DICOM = "a series of slices: order by position, rescaling of every slice; several series are listed"
 _SLICES = (
     "TIFF, PNG, BMP, JPEG in the order of their numbers, gaps reported; pixel size of the Bruker/SkyScan "

@@ -25,34 +25,39 @@ _THREADS = 2  # that read planes at a time
 
 @dataclass(frozen=True)
 class RawLayout:
-    """How little-endian voxels lie in a file without a header: along x, y, z, of which x runs fastest."""
+    """How voxels lie in a file without a header.
+
+    ``shape`` along x, y, z, of which x runs fastest; ``dtype`` as numpy calls it, ``uint16``; ``byte_order``
+    ``little`` or ``big``; ``header_bytes`` before the first voxel.
+    """
 
     shape: tuple[int, ...]
-    dtype: str  # as numpy calls it: uint16
+    dtype: str
+    byte_order: str = "little"
+    header_bytes: int = 0
 
 
 def open_raw(path: Path, layout: RawLayout | None = None) -> Stored:
     """Return a raw file with the layout that the user gave, which must be as long as it says."""
-    header = (
-        f"a text file {path.stem}.mhd of the lines ObjectType = Image, NDims = 3, DimSize = NX NY NZ, "
-        "ElementType = MET_USHORT, ElementSpacing = H H H, HeaderSize = BYTES, ElementByteOrderMSB = False, "
-        f"ElementDataFile = {path.name}"
-    )
     if layout is None:
-        step = "Give the header beside them (.mhd, .nhdr, .vgi, .hdr) in their place, or --shape NX,NY,NZ"
-        step += f" --dtype uint16 --spacing H, or write {header}"
+        step = (
+            "Give the header beside them (.mhd, .nhdr, .vgi, .hdr) in their place, or "
+            "--shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N] --spacing H"
+        )
         raise StapeskitError.of("the scan", "a file with a header", "raw voxels alone", next_step=step)
-    dtype = np.dtype(layout.dtype).newbyteorder("<")
+    dtype = np.dtype(layout.dtype).newbyteorder("<" if layout.byte_order == "little" else ">")
     needed, size = dtype.itemsize * prod(layout.shape), path.stat().st_size
-    if size != needed:
+    if size - layout.header_bytes != needed:
         wanted = f"as long as {_times(layout.shape)} voxels of {layout.dtype} ({needed} bytes)"
-        step = "Check --shape and --dtype"
+        step = "Check --shape, --dtype and --header-bytes"
         if path.suffix.lower() == ".gz":
             step = "The file is packed (gzip): unpack it first"
         elif size > needed:
-            step += f"; if {size - needed} bytes of a header come first, write {header}"
-        raise StapeskitError.of("the raw file", wanted, f"{size} bytes", next_step=step)
-    return Stored(tuple(reversed(layout.shape)), dtype, Stream(path, 0), known="raw voxels do not have it")
+            step += f"; --header-bytes {size - needed} would fit if the surplus is a header"
+        got = f"{size - layout.header_bytes} bytes after the header"
+        raise StapeskitError.of("the raw file", wanted, got, next_step=step)
+    stream, known = Stream(path, layout.header_bytes), "raw voxels do not have it"
+    return Stored(tuple(reversed(layout.shape)), dtype, stream, known=known)
 
 
 def find_voxels(stored: Stored, path: Path) -> None:

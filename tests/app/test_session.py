@@ -19,6 +19,7 @@ from app.session import Session
 from app.steps import STEPS, Job
 from app.study_file import StudyFile
 from ct_inertia.scan.open_scan import open_labels
+from pipeline.new_study import LAYOUT, SPACING
 from pipeline.run import scan2kd
 from simulate import Ear, Experiment, Scan, simulate_study
 from stapeskit.faults import StapeskitError
@@ -242,24 +243,30 @@ def test_labels_of_another_mass_than_that_of_the_study_are_not_shown(session, da
 
 
 def test_a_scan_that_does_not_say_its_spacing_is_asked_for_it(measured, tmp_path):
-    """A TIFF without a resolution: the sentence, the key to fill in, then the picture."""
+    """A TIFF without a resolution, and raw voxels: the sentence, the keys to fill in, then the picture."""
     voxels = sitk.GetArrayFromImage(sitk.ReadImage(measured[0] / "scan.nrrd"))
     tifffile.imwrite(tmp_path / "plain.tif", voxels, photometric="minisblack")
+    voxels.tofile(tmp_path / "plain.raw")
     session = Session(StudyFile(tmp_path / ".none.toml"))
     lacks = session.open(tmp_path / "plain.tif")
     assert "the voxel spacing must be" in lacks
     assert "scan.spacing_mm" in lacks
-    assert session.scan is None
+    assert (session.scan, session.lacking) == (None, SPACING)
     with pytest.raises(StapeskitError):
-        session.set_spacing("twenty")
-    assert session.set_spacing("0.052") == ""
+        session.set_voxels(spacing_mm="twenty")
+    assert session.set_voxels(spacing_mm="0.052") == ""
     assert session.scan.spacing_mm == pytest.approx([0.052] * 3)
     assert not session.study.path.exists()
     session.set_scan("ear 7", "1900+-200", None)
     assert StudyFile.read(tmp_path / "ear 7.toml").get("scan", "spacing_mm") == "0.052"
-    session.set_spacing("0.026")  # the picture, and every place that is clicked, follows
+    session.set_voxels(spacing_mm="0.026")  # the picture, and every place that is clicked, follows
     assert session.scan.spacing_mm == pytest.approx([0.026] * 3)
     assert session.drawing is None
+    session.open(tmp_path / "plain.raw")
+    assert session.lacking == LAYOUT
+    shape = ",".join(map(str, voxels.shape[::-1]))
+    assert "spacing" in session.set_voxels(shape=shape, dtype=voxels.dtype.name)
+    assert session.set_voxels(spacing_mm="0.052") == ""
     assert session.scan.shape == voxels.shape
     session.start("found")
     session.job.stop()

@@ -21,6 +21,7 @@ class Case:
     options: dict = field(default_factory=dict)
     asks: bool = False  # for the spacing
     anatomical: bool = False
+    raw: dict | None = None
     entry: str = "TIFF"
 
 
@@ -74,7 +75,8 @@ CASES = {
     "a.am": Case(own.amira, ("u1", "i2", "u2", "i4", "f4", "f8"), entry="Amira"),
     "big.am": Case(own.amira, ("u2", "f4"), {"big": True}, entry="Amira"),
     "um.am": Case(own.amira, ("u2",), {"unit": "µm"}, entry="Amira"),
-    "a.raw": Case(w.raw, ALL, asks=True, entry="raw voxels"),
+    "a.raw": Case(w.raw, ALL, {"header": 12}, True, raw={"header_bytes": 12}, entry="raw voxels"),
+    "big.raw": Case(w.raw, SOME, {"big": True}, True, raw={"byte_order": "big"}, entry="raw voxels"),
     "dicom": Case(w.dicom, ("i2", "u2", "u1"), anatomical=True, entry="DICOM"),
     "dicom_jpeg": Case(w.dicom, ("u2", "u1"), {"packed": True}, anatomical=True, entry="DICOM"),
     "v04.zarr": Case(w.ome_zarr, ALL, entry="OME-Zarr"),

@@ -238,8 +238,8 @@ def dicom(path, array, series="1", packed=False, spacing=SPACING, **tags):
     return path
 
 
-def raw(path, array):
-    path.write_bytes(array.astype(array.dtype.newbyteorder("<")).tobytes())
+def raw(path, array, big=False, header=0):
+    path.write_bytes(bytes(header) + array.astype(array.dtype.newbyteorder(">" if big else "<")).tobytes())
     return path
 
 

@@ -11,7 +11,7 @@ from ct_inertia.scan.open_scan import open_scan
 from ct_inertia.scan.raw import RawLayout
 from stapeskit.faults import StapeskitError
 from tests.scan_files.scan_cases import CASES
-from tests.scan_files.scan_writers import SPACING, check_corners, picture, raw
+from tests.scan_files.scan_writers import SPACING, check_corners, picture
 
 SEEDS = 12  # damages of each format; benchmarks/damaged_files.py tries as many as one asks for
 
@@ -22,8 +22,8 @@ def written(folder, name, kind=None, shape=(7, 6, 5)):
     array = picture(kind or case.types[0], shape)
     path = case.write(folder / name, array, **case.options)
     layout = None
-    if case.write is raw:
-        layout = RawLayout(array.shape[::-1], array.dtype.newbyteorder("=").name)
+    if case.raw is not None:
+        layout = RawLayout(array.shape[::-1], array.dtype.newbyteorder("=").name, **case.raw)
     return path, array, {"spacing_mm": SPACING if case.asks else None, "raw": layout}
 
 

@@ -1,7 +1,6 @@
 """Spacing, origin, direction and units, as each format states them; the same rules of handedness for all."""
 
 import gzip
-import re
 from itertools import product
 
 import numpy as np
@@ -13,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from ct_inertia.scan.open_scan import open_labels, open_scan
 from ct_inertia.scan.place import mm_per_unit
+from ct_inertia.scan.raw import RawLayout
 from stapeskit.faults import StapeskitError
 from tests.scan_files import scan_writers as w
 from tests.scan_files import scanner_writers as own
@@ -135,18 +135,10 @@ def test_detached_voxels_of_every_kind(tmp_path):
         assert np.array_equal(scan.read(), array), name
 
 
-def test_raw_voxels_alone_are_read_with_the_header_that_their_refusal_dictates(tmp_path):
-    array = picture()
-    lone = tmp_path / "lone.raw"
-    lone.write_bytes(bytes(12) + array.astype(">u2").tobytes())
-    step = refused(lone, SPACING).next_step
-    lines = re.search(r"ObjectType = .*ElementDataFile = lone.raw", step)[0].split(", ")
-    header = "\n".join(lines).replace("BYTES", "12").replace("False", "True")
-    size = " ".join(map(str, array.shape[::-1]))
-    (tmp_path / "lone.mhd").write_text(header.replace("NX NY NZ", size).replace("H H H", "0.02 0.025 0.03"))
-    scan = open_scan(tmp_path / "lone.mhd")
-    assert np.array_equal(scan.read(), array)
-    assert scan.spacing_mm == pytest.approx(SPACING)
+def test_raw_voxels_alone_are_asked_about(tmp_path):
+    lone = w.raw(tmp_path / "lone.raw", picture())
+    assert "--shape" in refused(lone, SPACING).next_step
+    assert refused(lone, raw=RawLayout((5, 6, 7), "uint16")).thing == "the voxel spacing"
 
 
 def test_nifti_forms_and_scaling(tmp_path):

@@ -267,11 +267,11 @@ def test_flat_vector_and_complex_images_of_open_formats(tmp_path, ending):
 
 def test_dicom_folders(tmp_path):
     folder = w.dicom(tmp_path / "d", picture("i2"))
-    (folder / "1_5.dcm").unlink()
+    (folder / "1_995.dcm").unlink()
     assert refused(folder).thing == "the distance of DICOM slices"
     two = w.dicom(w.dicom(tmp_path / "two", picture("i2")), picture("i2"), series="2")
     assert "ear 1 (7 files), ear 2 (7 files)" in refused(two).got
-    assert refused(two / "1_9.dcm").got == "a single slice"
+    assert refused(two / "1_999.dcm").got == "a single slice"
     frames = w.itk(tmp_path / "frames.dcm", picture("u2"))
     assert refused(frames).got == "7 frames in one file"
     beside = w.dicom(tmp_path / "beside", picture("i2")[:1], series="9")
@@ -283,7 +283,7 @@ def test_dicom_folders(tmp_path):
     (notice,) = scan.notices
     assert notice.code == "file_read"
     assert notice.text.startswith("1 single")
-    (two / "1_9.dcm").write_bytes((two / "1_9.dcm").read_bytes()[:-40])
+    (two / "1_999.dcm").write_bytes((two / "1_999.dcm").read_bytes()[:-40])
     for file in two.glob("2_*"):
         file.unlink()
     refused(two)
@@ -303,9 +303,8 @@ def test_files_that_are_no_scans(tmp_path):
 
 
 def test_raw_layouts(tmp_path):
-    path = tmp_path / "a.raw"
-    path.write_bytes(bytes(12) + picture().tobytes())
-    assert "12 bytes" in refused(path, raw=RawLayout((5, 6, 7), "uint16")).next_step
+    path = w.raw(tmp_path / "a.raw", picture(), header=12)
+    assert "--header-bytes 12" in refused(path, raw=RawLayout((5, 6, 7), "uint16")).next_step
     assert refused(path, raw=RawLayout((50000, 60000, 70000), "uint16")).thing == "the raw file"
     (tmp_path / "a.raw.gz").write_bytes(gzip.compress(picture().tobytes()))
     assert "gzip" in refused(tmp_path / "a.raw.gz", raw=RawLayout((5, 6, 7), "uint16")).next_step

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-import tifffile
 
 from pipeline.compare import compare, write_comparison
 from pipeline.new_study import look, needs, new_study
@@ -118,21 +117,21 @@ def test_results_of_earlier_commands_are_no_inputs_of_a_new_study(files: Path, f
     assert [path.name for path in found.measurements] == ["ldv.csv"]
 
 
-def test_raw_voxels_need_their_header_and_a_tiff_its_spacing(files: Path) -> None:
+def test_the_layout_of_raw_voxels_is_asked_for_and_then_their_size(files: Path) -> None:
     import SimpleITK as sitk
 
     image = sitk.ReadImage(files / "scan.nrrd")
     (files / "scan.nrrd").unlink()
     sitk.GetArrayFromImage(image).tofile(files / "probe.raw")
-    assert "probe.mhd" in needs(new_study(files))
-    (files / "probe.raw").rename(files / "probe.none")
-    tifffile.imwrite(files / "probe.tif", sitk.GetArrayFromImage(image), photometric="minisblack")
-    answers = iter(["7,8", "0.04", "", "left", ""])
+    study = new_study(files)
+    assert "scan.shape" in needs(study)  # the keys of a study, where there are no flags
+    assert "--shape" not in needs(study)
+    size = ",".join(map(str, image.GetSize()))
+    answers = iter(["7,8", f"{size} uint16", "0.04", "", "left", ""])
     study = new_study(files, lambda _question: next(answers))
     assert next(answers, None) is None
     scan = read_study(study).scan
-    assert (scan.spacing_mm, scan.side) == ((0.04,) * 3, "left")
+    assert (scan.shape, scan.dtype, scan.side) == (image.GetSize(), "uint16", "left")
     assert needs(study) == ""
-    (files / "probe.tif").unlink()
     sitk.WriteImage(image, files / "probe.mhd")  # the header makes the raw file a part of it
     assert [path.name for path in look(files).scans] == ["probe.mhd"]

@@ -135,7 +135,7 @@ def test_faults_of_a_study_name_its_keys(small: tuple[Path, Truth], tmp_path: Pa
     with pytest.raises(StapeskitError) as raised:
         check_study(read_study(study))
     (fault,) = raised.value.faults
-    assert "scan.mhd" in fault.next_step
+    assert "scan.dtype" in fault.next_step
     assert "--" not in fault.next_step
 
 
