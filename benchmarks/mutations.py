@@ -35,7 +35,7 @@ MUTATIONS: tuple[tuple[str, str, str, str], ...] = (
     ("kinematics/joint/tangents.py", "1.0 + sums[GAIN] +", "1.02 + sums[GAIN] +", "motion"),
     ("kinematics/joint/tangents.py", "np.exp(-1j * sums[DELAY]", "np.exp(1j * sums[DELAY]", "motion"),
     ("kinematics/signals/frf.py", "1.0 / (2.0 * max(averages", "1.0 / (2.4 * max(averages", "motion_files"),
-    ("kinematics/fit/noise.py", "2.0 * np.log(2.0) * share", "2.4 * np.log(2.0) * share", "motion"),
+    ("kinematics/fit/noise.py", "/ (2.0 * np.log(2.0)) if", "/ (2.4 * np.log(2.0)) if", "motion"),
     ("fitting/uncertainty.py", "imag, eigen.imag) / (2.0", "imag, eigen.imag) / (2.2", "fit"),
     ("fitting/textbook.py", "own = 0.5 * np.einsum", "own = 0.6 * np.einsum", "fit"),
     ("fitting/likelihood.py", "added += 2.0 * (spread", "added += 1.6 * (spread", "fit"),
