@@ -27,6 +27,7 @@ _WIDE_BAND = 2.0  # last over first frequency from which damping turns the phase
 _HALF_TURNS = ((np.pi, "radians"), (1.0, "multiples of pi"), (0.5, "cycles"))
 _DECIBELS = (20.0, 200.0)
 _SAMPLE = 100_000  # values looked at
+_LEAST_FILLED = 5  # times that one value is there more often than any other: coarse digits repeat many
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ def empty_faults(measurement: Measurement) -> list[Fault]:
 
 
 def screen_zeros(body: BodyChannels, runs: tuple[str, ...], dof: tuple[str, ...]) -> Screened:
-    """Set aside values that are exactly zero, and channels of one value, although the body moves otherwise.
+    """Set aside values that are exactly zero or fill gaps, and channels of one value while the body moves.
 
     Such a channel is believed when the other channels say that it moves so along its beam; all others are not
     when these cannot tell.
@@ -81,6 +82,12 @@ def screen_zeros(body: BodyChannels, runs: tuple[str, ...], dof: tuple[str, ...]
         if np.any(some) and not np.any(np.all(some, axis=1)):
             drop[run] |= some
             texts.append(f"{int(np.sum(some))} single values of body {body.body}{where} are exactly zero")
+        filler = _filler(np.delete(value[run], dead, axis=0))
+        if filler is not None:
+            some = value[run] == filler
+            some[dead] = False
+            drop[run] |= some
+            texts.append(f"{int(np.sum(some))} values of body {body.body}{where} are exactly {filler:.6g}")
         unused.append(marks)
     if not texts:
         return Screened(body, tuple(unused), ())
@@ -101,6 +108,15 @@ def _silent(value: ComplexArray) -> tuple[list[int], list[int]]:
         elif np.all(known == known[0]) and (known.size > 1 or known[0] == 0.0):
             dead.append(channel)
     return empty, dead
+
+
+def _filler(value: ComplexArray) -> complex | None:
+    """Return the value other than zero that fills gaps, as -9999: it alone is there again and again."""
+    known = value[:, :: max(1, value.size // _SAMPLE)]
+    found, count = np.unique(known[np.isfinite(known) & (known != 0.0)], return_counts=True)
+    order = np.argsort(count)[-2:]
+    alone = len(order) == 2 and count[order[1]] >= _LEAST_FILLED * count[order[0]]
+    return complex(found[order[1]]) if alone else None
 
 
 def _moves(body: BodyChannels, run: int, dead: list[int], dof: tuple[str, ...]) -> bool:

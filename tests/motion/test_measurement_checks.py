@@ -122,6 +122,18 @@ def test_rows_of_zeros_are_set_aside_where_the_body_moves():
     assert [notice.code for notice in screened.notices] == ["zero_rows"]
 
 
+def test_values_that_fill_gaps_are_set_aside():
+    body = as_measurement(recorded(1)).bodies[0]
+    value = body.value.copy()
+    value[:, 4, 20:40] = -9999.0 - 9999.0j
+    screened = screen_zeros(replace(body, value=value), ("1",), DOF_NAMES)
+    assert np.array_equal(np.isnan(screened.body.value), value == value[0, 4, 20])
+    assert [notice.code for notice in screened.notices] == ["zero_rows"]
+    coarse = replace(body, value=np.round(body.value, 5))
+    assert screen_zeros(coarse, ("1",), DOF_NAMES).body.value.shape == body.value.shape
+    assert not np.isnan(screen_zeros(coarse, ("1",), DOF_NAMES).body.value[coarse.value != 0.0]).any()
+
+
 def test_channels_of_one_value_are_set_aside_where_the_body_moves_otherwise():
     body = as_measurement(recorded(1)).bodies[0]
     value = body.value.copy()
