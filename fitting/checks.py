@@ -98,8 +98,7 @@ def _physics(fit: KDFit) -> Iterator[Notice]:
 def _noise(fit: KDFit) -> Iterator[Notice]:
     """Report what the residuals say of noise and model."""
     found = fit.found
-    weak = fit.weak is not None and fit.weak.shape[1]
-    if not found.converged and not weak:
+    if not found.converged and not fit.weak.shape[1]:
         yield Notice("not_converged", "The fit stopped before it settled; do not trust the result.")
     if found.data.floored:
         text = "The motion has no noise: it was taken as known to 8 digits, and K and D as that allows."
@@ -268,10 +267,9 @@ def _plausibility(fit: KDFit) -> Iterator[Notice]:
             f"The piston stiffness {value:.4g} N/m lies outside the published {PISTON_RANGE[0]:g} to "
             f"{PISTON_RANGE[1]:g} N/m of human annular ligaments."
         )
-        for factor, unit in ((2.0 * np.pi, "angular frequencies (rad/s)"), (1e-3, "kHz")):
-            other = value / factor**2
-            if _within(other, PISTON_RANGE) and not PISTON_RANGE[0] / 3 < value < 3 * PISTON_RANGE[1]:
-                text += f" It would be {other:.4g} N/m if freq_hz held {unit}: check that."
+        in_hertz = value / (2.0 * np.pi) ** 2
+        if _within(in_hertz, PISTON_RANGE) and value > 3 * PISTON_RANGE[1]:
+            text += f" It would be {in_hertz:.4g} N/m if freq_hz held rad/s: check that."
         yield Notice("implausible_stiffness", text)
     for name in (name for name in ("alpha", "gamma") if name in fit.dof):
         other = fit.dof.index(name)

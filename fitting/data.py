@@ -13,6 +13,7 @@ from fitting.mass import Inertia
 from fitting.shared_errors import Maps, with_shared_errors
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.records.rigid_motion import lines_measured
 from stapeskit.spatial import DOF_NAMES
 
 if TYPE_CHECKING:
@@ -151,10 +152,15 @@ def data_of(
         inside &= (motion.freq_hz < low) | (motion.freq_hz > high)
     pairs = [motion.pair(place, *bodies) for place in range(len(motion.runs))]
     whole, noise = (np.stack(parts).astype(complex) for parts in zip(*pairs, strict=True))
-    keep = inside & np.all(np.isfinite(whole), axis=2)
+    finite = np.isfinite(whole)
+    keep = inside & np.all(finite, axis=2)
     run, line = np.nonzero(keep)
     q, noise, freq_hz, dropped = whole[keep], noise[keep], motion.freq_hz[line], int(np.sum(inside & ~keep))
-    _check_lines(motion, freq_hz, dof, band_hz, exclude_hz, dropped)
+    measured = np.any(np.stack([np.all(part, axis=2) for part in np.split(finite, 2, axis=2)]), axis=1)
+    if not np.any(np.all(finite, axis=2)):
+        got, step = lines_measured((structure, base), measured), "Measure all on one grid"
+        raise StapeskitError.of("the lines of structure and base", "the same", got, "", step)
+    _check_lines(freq_hz, dof, band_hz, motion.freq_hz, dropped)
     rows = [motion.dof.index(name) for name in dof]
     _check_sizes(motion, q, noise, freq_hz, rows, (structure, base))
     mass, root = _scaled_mass(inertia, motion.dof)
@@ -209,21 +215,16 @@ def _check_motion(motion: RigidMotion, dof: tuple[str, ...], structure: str, bas
 
 
 def _check_lines(
-    motion: RigidMotion,
     freq_hz: Array,
     dof: tuple[str, ...],
     band_hz: tuple[float, float] | None,
-    exclude_hz: Sequence[tuple[float, float]],
+    every_hz: Array,
     dropped: int,
 ) -> None:
     if not len(freq_hz):
-        lowest = float(np.min(motion.freq_hz))
-        ends = f"Lines were measured from {lowest:.6g} to {np.max(motion.freq_hz):.6g} Hz"
-        step = "Measure structure and base at common frequencies"
-        if band_hz is not None and band_hz[1] < _KILOHERTZ * lowest:
-            step = f"{ends}: give --band in Hz, not in kHz"
-        elif band_hz is not None or exclude_hz:
-            step = f"{ends}: widen --band or exclude less"
+        step = f"Lines were measured from {every_hz[0]:.6g} to {every_hz[-1]:.6g} Hz: "
+        kilohertz = band_hz is not None and band_hz[1] < _KILOHERTZ * every_hz[0]
+        step += "give --band in Hz, not in kHz" if kilohertz else "widen --band or exclude less"
         where = f"{dropped} lines have missing values" if dropped else ""
         raise StapeskitError.of("the band", "one with measured lines of both bodies", "none", where, step)
     equations, unknowns, distinct = 2 * len(dof) * len(freq_hz), len(dof) * (len(dof) + 1), len(set(freq_hz))

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
-from fitting.dof2kd import MassSource, fit_of, mass_source
+from fitting.dof2kd import fit_of
+from fitting.mass import Inertia, inertia_of
 from fitting.options import KDOptions
 from fitting.plane import PISTON_DOF
 from fitting.planned_motion import BASE_POINTS_MM, STAPES_POINTS_MM, Layout, cone_beams, planned_motion
@@ -23,6 +24,7 @@ from stapeskit.arrays import Array
 from stapeskit.option_types import Count, DofList, Kind, Positive, Range, number, path
 from stapeskit.options import Opt, Options, read_toml
 from stapeskit.records.mass_matrix import MassMatrix
+from stapeskit.spatial import DOF_NAMES
 
 if TYPE_CHECKING:
     from stapeskit.report.page import Page
@@ -108,7 +110,7 @@ class Plan(Options):
         return Layout(structure, beams), Layout(base, beams)
 
 
-def read_plan(path: Path) -> tuple[Plan, MassSource | None]:
+def read_plan(path: Path) -> tuple[Plan, Inertia | None]:
     """Read a plan.toml, and the mass that it names.
 
     Raises
@@ -120,22 +122,23 @@ def read_plan(path: Path) -> tuple[Plan, MassSource | None]:
     plan = Plan.read(read_toml(path), path.name, keys, path.parent)
     if plan.mass is None:
         return plan, None
-    return plan, mass_source(path.parent / plan.mass, KDOptions.of(dof="all"))
+    return plan, inertia_of(path.parent / plan.mass, DOF_NAMES)
 
 
-def stated_mass(plan: Plan) -> MassSource:
+def stated_mass(plan: Plan) -> Inertia:
     """Return the mass of a human stapes with the stated error of its density."""
     parameters = np.array(_STAPES)
     density = {"density": (0.01 * plan.mass_sd_percent) ** 2 * np.outer(parameters, parameters)}
-    return MassSource(MassMatrix(parameters, contributions=density if plan.mass_sd_percent else {}))
+    mass = MassMatrix(parameters, contributions=density if plan.mass_sd_percent else {})
+    return inertia_of(mass, DOF_NAMES)
 
 
-def expect(plan: Plan, mass: MassSource | None = None) -> dict[str, KDFit]:
+def expect(plan: Plan, mass: Inertia | None = None) -> dict[str, KDFit]:
     """Return what the plan, and the plan with one change each, would state: ``as planned`` first.
 
     Parameters
     ----------
-    mass : MassSource, optional
+    mass : Inertia, optional
         Of a mass.json or a table; left out: that which the plan states.
 
     Raises
@@ -146,13 +149,12 @@ def expect(plan: Plan, mass: MassSource | None = None) -> dict[str, KDFit]:
     options = KDOptions.of(dof=plan.dof, unknowns="none")
     fits = {}
     for name, changed in _ways(plan, mass).items():
-        source = mass or stated_mass(changed)
-        matrix = source.mass.matrix if isinstance(source.mass, MassMatrix) else source.mass
-        fits[name] = fit_of(planned_motion(changed, matrix), source, options, {})
+        inertia = mass or stated_mass(changed)
+        fits[name] = fit_of(planned_motion(changed, inertia.matrix), inertia, options, {})
     return fits
 
 
-def _ways(plan: Plan, mass: MassSource | None) -> dict[str, Plan]:
+def _ways(plan: Plan, mass: Inertia | None) -> dict[str, Plan]:
     """Return the plan and its improvements, one change each."""
     low, high = plan.band_hz
     lines = round((2.0 * high - low) / (high - low) * max(plan.lines - 1, 1)) + 1

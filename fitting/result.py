@@ -11,15 +11,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting import entries
-from fitting.bands import BandFactors
+from fitting.bands import BandFactors, band_factors
 from fitting.evidence import Search
 from fitting.laws import DampingLaw
 from fitting.mass import Inertia
 from fitting.model import Modes, modes, passive
 from fitting.options import KDOptions
-from fitting.plane import PISTON_DOF, InPlane, Posterior, coupling_scale, heights, posterior
+from fitting.plane import PISTON_DOF, InPlane, Posterior, coupling_scale, heights, in_plane, posterior
 from fitting.solve import Fit, bend, entry_scale
-from fitting.uncertainty import Derived, budget_of, derived_of, effect_of, known_exactly, unexplained
+from fitting.uncertainty import (
+    Derived,
+    budget_of,
+    derived_of,
+    effect_of,
+    known_exactly,
+    unexplained,
+    weak_spread,
+)
 from stapeskit.arrays import Array
 from stapeskit.results import Result
 from stapeskit.warnings import Notice
@@ -46,8 +54,6 @@ class KDFit(Result):
     inertia : Inertia
     found : Fit
         What was fitted, without units.
-    plane : InPlane or None
-        Stiffness and damping in the plane of the ligament, where that was estimated.
     search : Search
         Further unknowns that the data call for.
     laws, laws_alike : mapping of str to Fit, tuple of str
@@ -56,18 +62,9 @@ class KDFit(Result):
         What holds the estimate back: constraints, or the limit of positive semidefinite K and D.
     bias : ndarray, (p,), or None
         What noise of the regressor does to K and D, without units; None for maximum likelihood.
-    weak : ndarray, (t, k)
-        Columns of the error of weak entries.
-    bands : BandFactors or None
     notices : tuple of Notice
         Every warning.
     provenance : mapping
-    outline_mm : ndarray, (points, 2), or None
-        x and z of the footplate's outline in footplate axes.
-    side : str
-        ``left``, ``right`` or empty: names z.
-    files : tuple of Path
-        Every file that was read; `write` never replaces one.
     scatter : Scatter or None
         Refits of simulated repetitions.
     confirmed : tuple of str
@@ -77,19 +74,13 @@ class KDFit(Result):
     options: KDOptions
     inertia: Inertia
     found: Fit
-    plane: InPlane | None = None
     search: Search = field(default_factory=Search)
     laws: Mapping[str, Fit] = field(default_factory=dict)
     laws_alike: tuple[str, ...] = ()
     active: tuple[str, ...] = ()
     bias: Array | None = None
-    weak: Array | None = None
-    bands: BandFactors | None = None
     notices: tuple[Notice, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    outline_mm: Array | None = None
-    side: str = ""
-    files: tuple[Path, ...] = ()
     scatter: Scatter | None = None
     confirmed: tuple[str, ...] = ()
 
@@ -107,6 +98,21 @@ class KDFit(Result):
     def mass(self) -> Array:
         """Mass matrix (n, n)."""
         return self.inertia.block(self.dof)
+
+    @cached_property
+    def plane(self) -> InPlane | None:
+        """Stiffness and damping in the plane of the ligament, where that was estimated."""
+        return None if self.found.likelihood.model.coupling is None else in_plane(self.found)
+
+    @cached_property
+    def weak(self) -> Array:
+        """Columns (t, k) of the error of weak entries; those of textbooks have none of their own."""
+        return weak_spread(self.found) if self.bias is None else np.zeros((len(self.found.theta), 0))
+
+    @cached_property
+    def bands(self) -> BandFactors | None:
+        """Local stiffness and damping over those of the whole band."""
+        return band_factors(self.found) if self.bias is None else None
 
     @cached_property
     def draws(self) -> Posterior:
@@ -157,9 +163,7 @@ class KDFit(Result):
     @cached_property
     def model_error(self) -> Array:
         """Columns E (p, k): by E E^T what the model may lack puts K and D off, averaged over alternatives."""
-        columns = [np.zeros((len(self.values), 0))]
-        if self.weak is not None:
-            columns.append(self._to_centre @ self.weak)
+        columns = [self._to_centre @ self.weak]
         for weight, other in zip(self.search.weights, self.search.alternatives, strict=True):
             if weight > _SMALLEST_WEIGHT:
                 columns.append(np.sqrt(weight) * effect_of(self, other))
@@ -317,7 +321,8 @@ class KDFit(Result):
         from fitting.exports import file_names
         from stapeskit.outputs import Outputs
 
-        outputs = Outputs("dof2kd", Path(folder), file_names(name, export), self.files, force)
+        read = [] if self.inertia.file is None else [self.inertia.file]
+        outputs = Outputs("dof2kd", Path(folder), file_names(name, export), read, force)
         with outputs.staged() as stage:
             names = self.write_into(stage, name=name, export=export)
         return tuple(Path(folder) / one for one in names)

@@ -99,12 +99,13 @@ class Rim:
 
 def rim_of(fit: KDFit) -> Rim | None:
     """Return the stiffness along the rim of the footplate; None without outline or with other --dof."""
-    if fit.outline_mm is None or fit.dof != PISTON_DOF:
+    outline = fit.inertia.outline_mm
+    if outline is None or fit.dof != PISTON_DOF:
         return None
     count = len(fit.values) // 2
     drawn = fit.values[:count] + standard_draws(_DRAWS, count, 1) @ root_of(fit.covariance[:count, :count]).T
-    ratio, sd = linear_ratio(fit.outline_mm, fit.values), linear_ratio(fit.outline_mm, drawn).std(axis=0)
-    return Rim(fit.outline_mm, ratio, sd, fit.side)
+    ratio, sd = linear_ratio(outline, fit.values), linear_ratio(outline, drawn).std(axis=0)
+    return Rim(outline, ratio, sd, fit.inertia.side)
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,8 @@ class Ring:
 
 def ring_of(fit: KDFit) -> Ring | None:
     """Compare K with an even ring around the footplate; None without outline, K11 > 0, or y first."""
-    if fit.outline_mm is None or fit.dof != PISTON_DOF or not fit.stiffness[0, 0] > 0.0:
+    outline = fit.inertia.outline_mm
+    if outline is None or fit.dof != PISTON_DOF or not fit.stiffness[0, 0] > 0.0:
         return None
     freq = fit.found.data.freq_hz
     factor = complex(fit.law.factor(2.0 * np.pi * np.sqrt(freq.min() * freq.max())))
@@ -130,7 +132,7 @@ def ring_of(fit: KDFit) -> Ring | None:
     loss = dynamic.imag / dynamic.real
     slopes = np.array([-loss, factor.imag - loss * factor.real]) / dynamic.real
     covariance = fit.covariance[np.ix_(places, places)]
-    ring = even_ring(1e-3 * fit.outline_mm)
+    ring = even_ring(1e-3 * outline)
     length = float(ring[0, 0])
     ratio = (principal_axes(fit.stiffness) / principal_axes(elastic / length * ring))[4:]
     return Ring(

@@ -11,7 +11,7 @@ from scipy.special import chdtrc
 
 from fitting.data import Data
 from fitting.likelihood import LOAD, PLAIN, Likelihood, Model
-from fitting.options import COMPARE
+from fitting.options import COMPARE, KDOptions
 from fitting.solve import MISFIT_P, best_start, degrees, minimise
 from stapeskit.arrays import Array
 from stapeskit.spatial import DOF_NAMES
@@ -27,6 +27,7 @@ _DECISIVE = 50.0  # fall of chi2 from which one of two readings is sure: odds e^
 # Geometric mean of rotation times 1 mm over displacement of both bodies: up to 2.2 for ears and shakers in
 # radians (rocking at resonance 5, base rocking 1), in degrees 57 times as much of 0.15 or more.
 _DEGREES = 6.0
+_LOWEST_TOP_HZ = 40.0  # a band that ends below is not of hearing
 
 
 @dataclass(frozen=True)
@@ -96,9 +97,14 @@ _READINGS = (
 )  # fmt: skip
 
 
-def suspicions(data: Data, law: str) -> list[Notice]:
-    """Return a warning about a motion that fits its equations only when it is read otherwise."""
-    model = Model(law if law != COMPARE else "viscous", LOAD if data.loads_known else PLAIN)
+def suspicions(data: Data, options: KDOptions) -> list[Notice]:
+    """Return a warning about a motion in other units, or one that fits only when it is read otherwise."""
+    top = float(data.freq_hz.max())
+    if "stapes" in options.structure.lower() and top < _LOWEST_TOP_HZ:
+        text = f"The highest frequency is {top:.4g} Hz: freq_hz looks like kHz. Write Hz, 1000 times as much."
+        return [Notice("unit_slip", text)]
+    law = "viscous" if options.damping == COMPARE else options.damping
+    model = Model(law, LOAD if data.loads_known else PLAIN)
     bare, mixed = data.without_errors(), 0 < np.sum(_turning(data)) < len(data.measured)
     own, n_dof = _level(bare, model), degrees(Likelihood(bare, model))
     tried = [

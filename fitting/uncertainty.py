@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 NOISE, MODEL_ERROR = "channel_noise", "model_error"
 INPLANE_STIFFNESS, PLANE = "inplane_stiffness", "ligament_plane"
 
-_NEAR, _FAR = (1, 2, 3), (8, 9, 10, 11, 12)  # lines whose noise a window makes alike, and beyond them
-_BY_CHANCE = 4.5  # standard deviations of a correlation from which it is none by chance
+_LEAST_LINES, _FARTHEST_LINE = 24, 48  # of a run that show correlations; as far as these are looked for
+_BY_CHANCE = 2.0  # standard deviations of a correlation below which it counts as none
+_HIDDEN = 3.7  # of chi2 at MISFIT_P: a misfit of so many standard deviations is not seen in it
 _CLUSTERS = 5  # parts of the lines whose residuals are taken as alike where no cause explains a misfit
 # Relative sd of a diagonal entry from which chi2 is no parabola: 1 / K differs from normal by it.
 _WEAK = 0.25
@@ -37,24 +38,32 @@ def alike_lines(found: Fit) -> float:
     """Return the noise over that stated, 1 at least, that counts as if that of each line were independent.
 
     Neighbouring lines of a spectrum have noise in common where its window is wider than a line (Hann: 0.67
-    and 0.17 with the next two) or where it was smoothed. A misfit is alike over many lines: what far lines
-    have in common is subtracted. The variance of a mean is 1 + 2 (r_1 + r_2 + ...) times as large. It is 1
-    where residuals are no noise as stated: in a misfit, and where they are smaller.
+    and 0.17 with the next two) or where it was smoothed. The variance of a mean is 1 + 2 (r_1 + r_2 + ...)
+    times as large, r_k the correlation of lines k apart, up to the first that chance explains. What all far
+    lines have in common is a misfit, and is subtracted. It is 1 where chi2 is larger than such noise
+    makes it, and where the misfit that chi2 shows, or hides, could make r_1. Where chi2 is smaller than
+    that, the noise is as small as residuals show.
     """
     white, run = found.likelihood.look(found.theta)[0], found.data.run
     longest = int(np.max(np.bincount(run), initial=0))
-    if longest < 2 * _FAR[-1] or found.weights is not None or found.quiet or not found.explained:
+    if longest < _LEAST_LINES or found.weights is not None:
         return 1.0
-    size = np.mean(np.abs(white) ** 2)
+    size, chance = np.mean(np.abs(white) ** 2), np.sqrt(0.5 / white.size)
+    farthest = min(longest // 4, _FARTHEST_LINE)
 
     def alike(lag: int) -> float:
         pairs = run[lag:] == run[:-lag]
         return float(np.mean((white[lag:] * white[:-lag].conj()).real[pairs]) / size)
 
-    excess = np.array([alike(lag) for lag in _NEAR]) - np.mean([alike(lag) for lag in _FAR])
-    if excess[0] < _BY_CHANCE / np.sqrt(2.0 * white.size):
+    every = np.array([alike(lag) for lag in range(1, farthest + 1)])
+    excess = every - np.mean(every[2 * farthest // 3 :])
+    near = excess[: int(np.argmax(np.append(excess, 0.0) < _BY_CHANCE * chance))]
+    by_misfit = max(1.0 - 1.0 / found.level, 0.0) + _HIDDEN * chance * np.sqrt(2.0)
+    by_noise = _HIDDEN * chance * np.sqrt(2.0 + 4.0 * np.sum(near**2))
+    if excess[0] < by_misfit or found.level > 1.0 + by_noise:
         return 1.0
-    return 1.0 + 2.0 * float(np.sum(np.maximum(excess, 0.0)))
+    stated = 1.0 if found.level > 1.0 - by_noise else found.level
+    return max(stated * (1.0 + 2.0 * float(np.sum(near))), 1.0)
 
 
 def budget_of(fit: KDFit) -> dict[str, Array]:

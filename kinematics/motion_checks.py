@@ -12,7 +12,7 @@ from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import Measurement
 from stapeskit.faults import Fault, raise_all
 from stapeskit.records.mass_record import MassRecord
-from stapeskit.records.rigid_motion import RigidMotion
+from stapeskit.records.rigid_motion import RigidMotion, lines_measured
 from stapeskit.spatial import dof_indices
 from stapeskit.warnings import Notice
 
@@ -25,16 +25,11 @@ _LEAST_LEAD = 0.02  # sine of a lead, twice the phase error of a laser
 
 def uncommon_lines(placed: Measurement) -> list[Notice]:
     """Return the warning that bodies were not measured at all lines of the others."""
-    measured = [np.any(np.isfinite(body.value.real), axis=(0, 1)) for body in placed.bodies]
-    counts = [int(np.sum(lines)) for lines in measured]
-    if all(count == len(placed.freq_hz) for count in counts):
+    measured = np.array([np.any(np.isfinite(body.value.real), axis=(0, 1)) for body in placed.bodies])
+    if np.all(measured):
         return []
-    listed = ", ".join(f"{body.body} at {n}" for body, n in zip(placed.bodies, counts, strict=True))
-    common = int(np.sum(np.all(measured, axis=0)))
-    text = (
-        f"of {len(placed.freq_hz)} frequencies, {listed} were measured, {common} of them on all bodies: "
-        "measure all on one grid."
-    )
+    counted = lines_measured([body.body for body in placed.bodies], measured)
+    text = f"{counted}: measure all on one grid."
     return [Notice("lines_undetermined", text)]
 
 

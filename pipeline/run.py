@@ -189,7 +189,8 @@ def run_study(
         Gets the warnings of each stage as it ends, also where a later stage fails.
     """
     from ct_inertia.ct2mass import measure_mass
-    from fitting.dof2kd import fit_of, mass_source
+    from fitting.dof2kd import fit_of
+    from fitting.mass import inertia_of
     from kinematics.points2dof import measure_motion
     from pipeline.report import study_page
 
@@ -226,11 +227,11 @@ def run_study(
         moved.write_into(stage, report=False)
 
     progress("fitting stiffness and damping")
-    source = mass_source(measured, study.fit)
+    inertia = inertia_of(measured, study.fit.dof)
     inputs = {"motion": out / "dof.h5", "mass": mass_file, "study": study.path}
     provenance = record(inputs, study.fit.given())
     with study.fit.as_keys():
-        fit = fit_of(moved.motion, source, study.fit, provenance, "dof.h5", confirmed=study.about.confirmed)
+        fit = fit_of(moved.motion, inertia, study.fit, provenance, "dof.h5", confirmed=study.about.confirmed)
     fit = replace(fit, notices=in_keys(fit.notices, type(study.fit)))
     tell(fit.notices)
     with outputs["fit"].staged() as stage:

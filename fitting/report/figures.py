@@ -161,7 +161,7 @@ def footplate_figure(fit: KDFit) -> Figure | None:
 
     Of a mass without a scan the axes stand alone, about the footplate centre.
     """
-    axes_of_k, outline, rim = fit.derived.axes, fit.outline_mm, rim_of(fit)
+    axes_of_k, outline, rim = fit.derived.axes, fit.inertia.outline_mm, rim_of(fit)
     if axes_of_k is None and rim is None:
         return None
     drawing, grid = panels(1, 1, width=4.4, height=2.45, margins=(0.58, 0.16, 0.06, 0.42))
@@ -181,7 +181,7 @@ def footplate_figure(fit: KDFit) -> Figure | None:
     low, high = np.min(np.concatenate(shown), axis=0), np.max(np.concatenate(shown), axis=0)
     x, z = 0.5 * (low + high)
     up, down = {"left": ("superior", "inferior"), "right": ("inferior", "superior")}.get(
-        fit.side, ("+z", "-z")
+        fit.inertia.side, ("+z", "-z")
     )
     for text, place in (
         ("anterior", (high[0] + 0.34, z)),

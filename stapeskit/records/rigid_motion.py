@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -47,6 +47,19 @@ class SharedErrors:
         if shapes != wanted:
             got = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
             raise StapeskitError.of("shared errors", f"{count} parameters throughout", got)
+
+
+def lines_measured(bodies: Sequence[str], measured: NDArray[np.bool_]) -> str:
+    """Return in words at how many lines bodies were measured, and at how many all of them.
+
+    Parameters
+    ----------
+    measured : ndarray, (bodies, freq)
+    """
+    each = zip(bodies, np.sum(measured, axis=1), strict=True)
+    listed = ", ".join(f"{body} at {count}" for body, count in each)
+    common = int(np.sum(np.all(measured, axis=0)))
+    return f"of {measured.shape[1]} frequencies, {listed} were measured, {common} of them on all bodies"
 
 
 @dataclass(frozen=True)

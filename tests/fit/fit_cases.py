@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 
-from fitting.dof2kd import MassSource, fit_of
+from fitting.dof2kd import fit_of
+from fitting.mass import inertia_of
 from fitting.options import KDOptions
 from fitting.planned_motion import BASE_POINTS_MM, STAPES_POINTS_MM, Layout, frame_maps
 from fitting.result import KDFit
@@ -183,7 +185,15 @@ def ring_ear(
 
 def fit(motion, mass, confirmed=(), **options) -> KDFit:
     """Fit as every command does."""
-    return fit_of(motion, MassSource(mass), KDOptions.of(**options), {}, confirmed=confirmed)
+    chosen = KDOptions.of(**options)
+    return fit_of(motion, inertia_of(mass, chosen.dof, "tensor"), chosen, {}, confirmed=confirmed)
+
+
+def with_outline(result, points_mm):
+    """The same fit with a footplate of an outline (n, 2), x and z in mm."""
+    found = {"footplate_outline_in_footplate_mm": np.asarray(points_mm).tolist()}
+    record = SimpleNamespace(raw={"found": found})
+    return replace(result, inertia=replace(result.inertia, record=record))
 
 
 def deviation(result, truth=TRUTH):

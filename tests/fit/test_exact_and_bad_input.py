@@ -176,11 +176,21 @@ def test_a_run_that_is_a_copy_of_another_is_refused():
     assert "copies" in raised.value.faults[0].got
 
 
-def test_frequencies_in_other_units_are_named_where_the_stiffness_tells():
+def test_frequencies_in_other_units_are_named():
     motion, _ = paper_motion(0.02, 1, 40)
-    for factor, unit in ((2.0 * np.pi, "rad/s"), (1e-3, "kHz")):
-        result = fit(replace(motion, freq_hz=factor * motion.freq_hz), M)
-        assert any(unit in one.text for one in result.notices if one.code == "implausible_stiffness")
+    result = fit(replace(motion, freq_hz=2.0 * np.pi * motion.freq_hz), M)
+    assert any("rad/s" in one.text for one in result.notices if one.code == "implausible_stiffness")
+    result = fit(replace(motion, freq_hz=1e-3 * motion.freq_hz), M)
+    assert result.verdict.level == "do not use"
+    assert result.verdict.reasons[0].code == "unit_slip"
+
+
+def test_bodies_without_a_common_line_are_refused_by_their_lines():
+    motion, _ = paper_motion(0.02, 1, 40)
+    q = motion.q.copy()
+    q[0, 0, ::2], q[0, 1, 1::2] = np.nan, np.nan
+    (fault,) = refused(lambda: fit(replace(motion, q=q), M))
+    assert fault.got == "of 40 frequencies, stapes at 20, base at 20 were measured, 0 of them on all bodies"
 
 
 def test_sign_of_products_of_inertia_is_stated_or_assumed_aloud():
@@ -234,6 +244,9 @@ def test_mass_of_a_plain_file(tmp_path):
     assert read_mass_csv(file, DOF) == pytest.approx(M)
     file.write_text("\n".join(";".join(f"{v:.12g}".replace(".", ",") for v in row) for row in M))
     assert read_mass_csv(file, DOF) == pytest.approx(M)
+    for column, kind in (("re_m_s", "vibrometer file"), ("y_re_m", "motion")):
+        file.write_text(f"body,freq_hz,{column}\nbase,400,1e-6\n")
+        assert kind in refused(lambda: read_mass_csv(file, DOF))[0].next_step
     file.write_text("a,b,c\n1,2,3\n")
     assert refused(lambda: read_mass_csv(file, DOF))[0].where.numbers == (1,)
     file.write_text("1,2\n3,x\n")

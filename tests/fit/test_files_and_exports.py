@@ -9,11 +9,12 @@ import pytest
 from scipy.io import loadmat
 
 from fitting.cli import work
-from fitting.dof2kd import MassSource, check_chain, dof2kd
+from fitting.dof2kd import check_chain, dof2kd
 from fitting.exports import EXPORTS, abaqus, ansys, comsol, file_names, matlab, prior_csv, prior_json
+from fitting.mass import inertia_of
 from stapeskit.faults import StapeskitError
 from stapeskit.records.motion_file import write_motion
-from tests.fit.fit_cases import M, fit, paper_motion
+from tests.fit.fit_cases import DOF, M, fit, paper_motion
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +124,7 @@ def test_fe_refuses_a_law_that_has_no_matrix():
 
 
 def test_another_mass_is_refused_unless_forced():
-    source = MassSource(M, SimpleNamespace(raw={"frames": {}}, notices=()), None)
+    source = replace(inertia_of(M, DOF), record=SimpleNamespace(raw={"frames": {}}, notices=()))
     motion, _ = paper_motion(0.02, 1, 20)
     stored = {"file": "mass.json", "document_hash": "sha256:00"}
     motion = replace(motion, provenance={"inputs": {"mass": stored}})

@@ -1,12 +1,10 @@
 """The stiffness along the rim, from K of springs that are known, and an even ring in closed form."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from fitting.ring import Rim, even_ring, linear_ratio, ring_of
-from tests.fit.fit_cases import M, fit, paper_motion
+from tests.fit.fit_cases import M, fit, paper_motion, with_outline
 
 
 def outline(n=20000):
@@ -72,7 +70,7 @@ def test_the_ring_of_a_fit_is_even_where_the_ligament_is():
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     ring = 1700.0 / (2.0 * np.pi * 1e-3) * even_ring(1e-3 * circle)
     motion, _ = paper_motion(0.001, 1, 60, stiffness=ring, damping=1e-5 * ring)
-    found = ring_of(replace(fit(motion, M), outline_mm=circle))
+    found = ring_of(with_outline(fit(motion, M), circle))
     assert found.rocking_ratio == pytest.approx((1.0, 1.0), rel=0.02)
     assert found.shear_pa[0] == pytest.approx(1700.0 / found.length_m, rel=0.01)
     assert found.loss_factor[0] == pytest.approx(2e-5 * np.pi * np.sqrt(400.0 * 5000.0), rel=0.02)

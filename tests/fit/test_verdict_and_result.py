@@ -19,7 +19,7 @@ from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.report.quantities import HERTZ, Quantity
 from stapeskit.spatial import matrix_from_parameters
 from stapeskit.warnings import Notice
-from tests.fit.fit_cases import DOF, D, M, codes, fit, paper_motion, ring_ear
+from tests.fit.fit_cases import DOF, D, M, codes, fit, paper_motion, ring_ear, with_outline
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +149,7 @@ def test_the_plan_promises_what_a_fit_of_its_own_simulated_motion_states():
     fits = expect(plan)
     promised = fits["as planned"]
     source = stated_mass(plan)
-    mass = matrix_from_parameters(source.mass.parameters)
+    mass = source.matrix
     stated, modes = [], []
     for seed in range(16):  # the median of so many scatters by 5 %
         motion = planned_motion(plan, mass, np.random.default_rng(seed))
@@ -222,7 +222,7 @@ def test_principal_axes_are_drawn_with_and_without_an_outline(ear):
     result = ear[1]
     outline = np.array([[-1.4, -0.6], [1.4, -0.6], [1.4, 0.6], [-1.4, 0.6]])
     for shape in (None, outline):
-        (axes,) = footplate_figure(replace(result, outline_mm=shape)).axes
+        (axes,) = footplate_figure(with_outline(result, shape)).axes
         assert len([line for line in axes.lines if len(line.get_xdata()) == 2]) == 2
 
 
