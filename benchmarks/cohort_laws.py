@@ -1,19 +1,17 @@
 """The 95 % intervals of laws over cohorts hold where those of the usual regressions do not.
 
 Simulated cohorts with a planted exponent of 1.5 (0 without a law), scatter 0.20, spread of ln x 0.12, errors
-0.05 and 0.07 with correlation 0.3. ``--what laws``: coverage of the intervals of exponent, scatter and the
-response of a further ear, and that of least squares, orthogonal and York's regression on the same cohorts.
-``--what ranges``: the normal range of a response and the prediction of a further ear against its true value.
+0.05 and 0.07 with correlation 0.3. Printed: coverage of the intervals of exponent, scatter and the response
+of a further ear, and that of least squares, orthogonal and York's regression on the same cohorts.
 Meant: exponent 0.93 to 0.98 (0.91 with heavy tails), bias at most 0.15 sd, prediction 0.93 to 0.99.
 
     python -m benchmarks.cohort_laws --cohorts 120
-    python -m benchmarks.cohort_laws --what ranges --cohorts 160
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
@@ -147,28 +145,6 @@ def law_cells(name: str, n: int, count: int) -> list[str]:
     return [means[0], f"{bias:+.2f}", *means[1:]]
 
 
-def range_cells(name: str, n: int, count: int) -> list[str]:
-    """Return how often normal range and prediction hold a further ear's true response, shared errors added.
-
-    The error that all ears have in common is in what is measured of the further ear, too.
-    """
-    population = POPULATIONS[name]
-    shift, rng = population.common, np.random.default_rng([n, 15])
-    population = replace(population, common=0.0)
-    hits, widths = list[list[bool]](), list[list[float]]()
-    for _ in range(count):
-        pairs, (x, y) = population.draw(rng, n)
-        error = shift * float(rng.standard_normal())
-        predictor, own = Predictor(pairs.shifted(-error, -error)), float(pairs.own[0, 0, 0])
-        seen = x + error + np.sqrt(own) * rng.standard_normal()
-        shared = shift**2 + float(np.mean(np.sum(pairs.shared[:, 1] ** 2, axis=1)))
-        found = [predictor.tolerance(shared), predictor.predict(seen, own, shared).interval]
-        hits.append([low <= y <= high for low, high in found])
-        widths.append([0.5 * (high - low) for low, high in found])
-    shares, halves = np.mean(hits, axis=0), np.median(widths, axis=0)
-    return [*(f"{100 * share:.0f}" for share in shares), *(f"{half:.2f}" for half in halves)]
-
-
 def rows(cells: Callable[[str, int, int], list[str]], count: int) -> Iterator[list[str]]:
     """Yield one row a population; each cell has the figures of all sizes of a cohort."""
     for name in POPULATIONS:
@@ -180,13 +156,9 @@ def rows(cells: Callable[[str, int, int], list[str]], count: int) -> Iterator[li
 
 
 if __name__ == "__main__":
-    given = arguments(__doc__, what="laws", cohorts=40)
+    given = arguments(__doc__, cohorts=40)
     error = 100.0 * np.sqrt(0.0475 / given.cohorts)
     print(f"Intervals that hold, in %, with {', '.join(map(str, SIZES))} ears; {given.cohorts} cohorts each,")
     print(f"standard error of a share {error:.1f} %.\n")
-    if given.what == "ranges":
-        head = ("population", "range", "prediction", "half width of the range (ln)", "of the prediction")
-        print_table(head, rows(range_cells, given.cohorts))
-    else:
-        head = ("population", "exponent", "bias / sd", "scatter", "prediction")
-        print_table((*head, "least squares", "orthogonal", "York"), rows(law_cells, given.cohorts))
+    head = ("population", "exponent", "bias / sd", "scatter", "prediction")
+    print_table((*head, "least squares", "orthogonal", "York"), rows(law_cells, given.cohorts))

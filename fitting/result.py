@@ -19,15 +19,8 @@ from fitting.model import Modes, modes, passive
 from fitting.options import KDOptions
 from fitting.plane import PISTON_DOF, InPlane, Posterior, coupling_scale, heights, in_plane, posterior
 from fitting.solve import Fit, bend, entry_scale
-from fitting.uncertainty import (
-    Derived,
-    budget_of,
-    derived_of,
-    effect_of,
-    known_exactly,
-    unexplained,
-    weak_spread,
-)
+from fitting.uncertainty import Derived, budget_of, derived_of, effect_of, known_exactly, unexplained
+from fitting.weak import weak_spread
 from stapeskit.arrays import Array
 from stapeskit.results import Result
 from stapeskit.warnings import Notice

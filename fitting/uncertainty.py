@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from fitting import entries
 from fitting.draws import standard_draws
 from fitting.evidence import Alternative
-from fitting.likelihood import Likelihood
 from fitting.model import moved_eigenvalues, principal_axes
 from fitting.plane import PISTON_DOF, in_plane, posterior
-from fitting.solve import Fit, minimise
+from fitting.solve import Fit
 from stapeskit.arrays import Array
 
 if TYPE_CHECKING:
@@ -27,11 +26,6 @@ _LEAST_LINES, _FARTHEST_LINE = 24, 48  # of a run that show correlations; as far
 _BY_CHANCE = 2.0  # standard deviations of a correlation below which it counts as none
 _HIDDEN = 3.7  # of chi2 at MISFIT_P: a misfit of so many standard deviations is not seen in it
 _CLUSTERS = 5  # parts of the lines whose residuals are taken as alike where no cause explains a misfit
-# Relative sd of a diagonal entry from which chi2 is no parabola: 1 / K differs from normal by it.
-_WEAK = 0.25
-_FARTHEST = 20.0  # sd or values that a weak entry is followed
-_CLOSE = 0.8  # of a point inside an interval to one outside, between which its end is taken
-_LOSS_FACTOR = 1.0  # to which damping follows a weak stiffness: of soft tissue it is below
 
 
 def alike_lines(found: Fit) -> float:
@@ -143,61 +137,6 @@ def unexplained(found: Fit) -> Array:
     scores = (jacobian * residual[:, None]).reshape(2, found.data.count, likelihood.n, -1).sum(axis=0)
     sums = np.concatenate([part.sum(axis=0) for part in np.array_split(scores, _CLUSTERS)])
     return np.asarray(np.sqrt(len(sums) / (len(sums) - 1.0)) * found.inverse @ sums.T)
-
-
-def weak_spread(found: Fit) -> Array:
-    """Return columns E (p, k): by E E^T the mean square error of weak entries exceeds the covariance.
-
-    Where the deflection drowns in the noise, a stiffness that is much too small lowers chi2 by no more than
-    noise does, and its sd falls with it. Chi2 is followed over each such entry of the diagonal of K to where
-    it has risen by that of a 95 % interval. All unknowns move along, each no farther than by one of these
-    ways, or by its own; entries that are not weak keep their sd.
-    """
-    n = found.likelihood.n
-    places = np.array(entries.diagonals(n))
-    sd = np.sqrt(np.diag(found.covariance)[places])
-    weak = sd >= _WEAK * np.abs(found.theta[places])
-    columns = np.zeros((len(found.theta), n))
-    for number in np.flatnonzero(weak[:n]) if found.weights is None else ():
-        columns[:, number] = _reach(found, int(places[number]), float(sd[number]))
-    size = np.linalg.norm(columns, axis=1)
-    most = np.max(np.abs(columns), axis=1)
-    own, lossy = places[:n], places[n:]
-    most[own] = np.diag(columns[own])
-    most[lossy] = np.minimum(most[lossy], _LOSS_FACTOR * (np.abs(found.theta[own]) + most[own]))
-    share = most / np.where(size > 0.0, size, 1.0)
-    roots = np.sqrt(np.where(weak, share[places], 0.0)).reshape(2, n)
-    share[found.at["entries"]] = np.ravel([entries.vector(np.outer(root, root)) for root in roots])
-    return share[:, None] * columns[:, np.any(columns, axis=0)]
-
-
-def _reach(found: Fit, place: int, sd: float) -> Array:
-    """Return the column (p,) of one entry; zeros where the interval of its sd holds as much.
-
-    Chi2 has to rise by that of 95 % times what the information is overstated by, noise of the regressor,
-    which grows with the entry.
-    """
-    model, overstated = found.likelihood.model, found.covariance[place, place] / found.inverse[place, place]
-    value = float(np.sum(found.likelihood.residuals(found.theta) ** 2))
-    farthest = _FARTHEST * max(sd, abs(found.theta[place]))
-    way = found.covariance[:, place] / found.covariance[place, place]
-    first = far = 1.96 * sd
-    inside, outside = 0.0, np.inf
-    while inside < farthest and far < _CLOSE * outside:
-        held = replace(model, held=(*model.held, (place, found.theta[place] + far, 1e-2 * sd)))
-        likelihood = Likelihood(found.data, held, found.noise)
-        try:
-            theta, risen, _, _ = minimise(likelihood, found.theta + far * way, 1e-4, 40)
-            there, known = found.likelihood.covariance(theta)
-            more = max(overstated, there[place, place] / known[place, place])
-        except np.linalg.LinAlgError:
-            risen, more = np.inf, overstated
-        if risen - value < 1.96**2 * more:
-            inside, way, overstated = far, (theta - found.theta) / far, more
-        else:
-            outside = far
-        far = min(2.0 * far, farthest) if outside == np.inf else float(np.sqrt(max(inside, first) * outside))
-    return np.sqrt(max((far / 1.96) ** 2 - sd**2, 0.0)) * way
 
 
 @dataclass(frozen=True)

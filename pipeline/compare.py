@@ -28,20 +28,13 @@ _COLOURS = OTHER_COLOURS[:2]  # of results: not those of stapes and base
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two finished studies.
-
-    Attributes
-    ----------
-    quantities : tuple of Quantity
-        What both have.
-    differences : ndarray, (quantities, 3)
-        Second minus first, its standard deviation, SI, and the two-sided p-value of no difference. Errors
-        that both share (a density of the same statement) cancel.
-    """
+    """Two finished studies."""
 
     ears: tuple[Ear, Ear]
     motions: tuple[RigidMotion | None, RigidMotion | None]
-    quantities: tuple[Quantity, ...]
+    quantities: tuple[Quantity, ...]  # what both have
+    # (quantities, 3): second minus first, its sd, SI, and the two-sided p-value of no difference; errors that
+    # both share (a density of the same statement) cancel
     differences: Array
 
     def rows(self) -> list[tuple[str, ...]]:

@@ -37,19 +37,13 @@ QUESTIONS: dict[tuple[str, ...], str] = {
 
 @dataclass(frozen=True)
 class Found:
-    """What the files of a folder are.
-
-    Attributes
-    ----------
-    scans, measurements : list of Path
-        Every file that can be one.
-    others : dict of str to Path
-        Points, fiducials, labels and landmarks, by their key.
-    """
+    """What the files of a folder are: every file that can be a scan or a measurement."""
 
     scans: list[Path] = field(default_factory=list)
     measurements: list[Path] = field(default_factory=list)
-    others: dict[str, Path] = field(default_factory=dict)
+    others: dict[str, Path] = field(
+        default_factory=dict
+    )  # fiducials, labels ..., by their key
 
 
 def look(folder: Path) -> Found:
@@ -120,7 +114,6 @@ def new_study(folder: Path, ask: Ask | None = None, *, force: bool = False) -> P
 
     Parameters
     ----------
-    folder : Path
     ask : callable, optional
         Takes a question, returns the answer, empty for "not known"; None: nothing is asked.
     force : bool

@@ -47,32 +47,15 @@ Tell = Callable[[Sequence[Notice]], None]
 
 @dataclass(frozen=True, repr=False)
 class StudyResult(Result):
-    """A finished study.
-
-    Attributes
-    ----------
-    study : Study
-    out : Path
-        Folder of the results.
-    measured : MassRecord
-        Mass, frames and surfaces.
-    moved : MotionResult
-        Motion of the bodies.
-    fit : KDFit
-        Stiffness and damping.
-    measured_now : MassResult or None
-        The mass in memory, unless its files are those of an earlier run.
-    reused : tuple of str
-        Stages that were not repeated.
-    """
+    """A finished study: mass, motion, stiffness and damping, and the folder that they are in."""
 
     study: Study
     out: Path
     measured: MassRecord
     moved: MotionResult
     fit: KDFit
-    measured_now: MassResult | None = None
-    reused: tuple[str, ...] = ()
+    measured_now: MassResult | None = None  # in memory; none where its files are those of an earlier run
+    reused: tuple[str, ...] = ()  # stages that were not repeated
 
     @property
     def title(self) -> str:
@@ -150,13 +133,10 @@ def scan2kd(study: Path | str, *, out: Path | str | None = None, force: bool = F
 
     Parameters
     ----------
-    study : path
-        The study file.
     out : path, optional
         Folder of the results; default ``<study name>_out`` in the current folder.
     force : bool
-        Repeat every stage, and replace files at the names of outputs that are not known as written by
-        scan2kd.
+        Repeat every stage, and replace files that are not known as written by scan2kd.
 
     Raises
     ------
@@ -181,12 +161,8 @@ def run_study(
 ) -> StudyResult:
     """Run a study into a folder; see `scan2kd`.
 
-    Parameters
-    ----------
-    progress : callable
-        Gets the stage at work.
-    tell : callable
-        Gets the warnings of each stage as it ends, also where a later stage fails.
+    ``progress`` gets the stage at work, ``tell`` the warnings of each stage as it ends, also where a later
+    stage fails.
     """
     from ct_inertia.ct2mass import measure_mass
     from fitting.dof2kd import fit_of

@@ -34,21 +34,11 @@ class End:
 
 @dataclass(frozen=True)
 class SeveralResult:
-    """How several studies ended.
+    """How several studies ended."""
 
-    Attributes
-    ----------
-    cohort : Cohort
-        Of the studies that finished.
-    ends : mapping of str to End
-        By study.
-    files : tuple of Path
-        Of the cohort.
-    """
-
-    cohort: Cohort
-    ends: Mapping[str, End]
-    files: tuple[Path, ...]
+    cohort: Cohort  # of those that finished
+    ends: Mapping[str, End]  # by study
+    files: tuple[Path, ...]  # of the cohort
 
 
 Runner = Callable[[Mapping[str, Path], Path, bool, Callable[[str, End], None]], None]
@@ -84,10 +74,7 @@ def run_one(
 ) -> End:
     """Run one study in its own process, so that a crash or a lack of memory costs this ear alone.
 
-    Parameters
-    ----------
-    at_work : set of Popen, optional
-        Holds the process while it runs.
+    ``at_work`` holds the process while it runs.
     """
     words = [sys.executable, "-P", "-m", "pipeline.cli", str(study), "--out", str(out), "--quiet"]
     environment = dict(os.environ)
@@ -135,12 +122,7 @@ def folder_names(studies: Sequence[Path]) -> list[str]:
 
 
 def read_studies(paths: Sequence[Path], check: Callable[[Study], None] = lambda _: None) -> dict[str, Study]:
-    """Read several study files, by the names of their folders.
-
-    Parameters
-    ----------
-    check : callable
-        What else is looked at.
+    """Read several study files, by the names of their folders, and check each.
 
     Raises
     ------
@@ -189,9 +171,7 @@ def run_studies(
     runner : callable
         `run_here`, or `pipeline.cluster.run_on_dask`.
     choices : mapping, optional
-        Of the cohort: arguments of `pipeline.cohort.cohort.cohort_of`.
-    force : bool
-        Repeat every stage, and replace files that are not known as written by scan2kd.
+        Arguments of `pipeline.cohort.cohort.cohort_of`.
     report : callable
         Gets a line as each study ends.
 
@@ -241,15 +221,13 @@ def _cohort(ears: Sequence[Ear], failed: Mapping[str, str], choices: Mapping[str
 def _outputs(studies: Mapping[str, Study], out: Path, force: bool) -> Outputs:
     """Return the outputs of the cohort; refuse studies that would write over what another reads."""
     inputs = {path.resolve() for study in studies.values() for path in study.inputs().values()}
-    faults = [
-        Fault(
-            f"the folder {out / name}", "apart from the inputs", path, "", "Choose another place with --out"
-        )
+    step = "Choose another place with --out"
+    raise_all(
+        Fault(f"the folder {out / name}", "apart from the inputs", path, "", step)
         for name in studies
         for path in inputs
         if path.is_relative_to((out / name).resolve())
-    ]
-    raise_all(faults)
+    )
     outputs = Outputs("scan2kd cohort", out, FILES, inputs, force)
     outputs.check()
     return outputs

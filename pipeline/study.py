@@ -69,15 +69,9 @@ _NO_STUDY = "Give a study: stapeskit new writes one for the files of a folder. A
 
 @dataclass(frozen=True)
 class Study:
-    """One study file.
+    """One study file."""
 
-    Attributes
-    ----------
-    path : Path
-        The file; its folder is where relative paths start.
-    """
-
-    path: Path
+    path: Path  # its folder is where relative paths start
     about: About
     scan: MassOptions
     ldv: MotionOptions

@@ -41,25 +41,13 @@ _NUMBER = rf"[-+]?{_POSITIVE}"
 
 @dataclass(frozen=True)
 class Change:
-    """A change of an ear.
+    """A change of an ear."""
 
-    Attributes
-    ----------
-    words : str
-        As it was written.
-    stiffness, damping : float
-        Factors of K and D.
-    mass_kg : float
-        A point mass that is added.
-    place_mm : ndarray, (3,), or None
-        Where, in footplate axes; None: at the head.
-    """
-
-    words: str
-    stiffness: float = 1.0
-    damping: float = 1.0
-    mass_kg: float = 0.0
-    place_mm: Array | None = None
+    words: str  # as it was written
+    stiffness: float = 1.0  # factor of K
+    damping: float = 1.0  # factor of D
+    mass_kg: float = 0.0  # a point mass that is added
+    place_mm: Array | None = None  # (3,): where, in footplate axes; none: at the head
 
 
 def read_change(words: str) -> Change:

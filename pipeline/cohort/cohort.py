@@ -33,21 +33,11 @@ SCHEMA = "stapeskit.cohort/1"
 
 @dataclass(frozen=True, repr=False)
 class Cohort(Result):
-    """Laws over many ears.
+    """Laws over many ears."""
 
-    Attributes
-    ----------
-    ears : tuple of Ear
-        All finished ones.
-    excluded : tuple of (str, str)
-        Name and reason of each ear that enters no law.
-    table : LogTable or None
-        None when there are too few ears for laws.
-    """
-
-    ears: tuple[Ear, ...]
-    excluded: tuple[tuple[str, str], ...]
-    table: LogTable | None = None
+    ears: tuple[Ear, ...]  # all finished ones
+    excluded: tuple[tuple[str, str], ...]  # name and reason of each ear that enters no law
+    table: LogTable | None = None  # none when there are too few ears for laws
     laws: tuple[PowerLaw, ...] = ()
     components: Components | None = None
     notices: tuple[Notice, ...] = ()
@@ -164,18 +154,6 @@ class Cohort(Result):
             self._predictors[key] = Predictor(law.pairs)
         return self._predictors[key]
 
-    def normal_ranges(self) -> dict[str, tuple[float, float]]:
-        """Return the 95 % range (SI) of each response over ears of this population, by its planned law.
-
-        It is one of true values, and is wider by the errors that the ears share: "is this ear normal".
-        """
-        ranges: dict[str, tuple[float, float]] = {}
-        for law in self.primary:
-            if law.response not in ranges:
-                low, high = np.exp(self.predictor(law).tolerance(law.pairs.shared_variance))
-                ranges[law.response] = (float(low), float(high))
-        return ranges
-
     def as_json(self, provenance: Mapping[str, Any]) -> dict[str, Any]:
         """Return the content of cohort.json."""
         count = self.components
@@ -191,7 +169,6 @@ class Cohort(Result):
             "excluded": [{"ear": name, "reason": reason} for name, reason in self.excluded],
             "laws": [law.as_json() for law in self.laws],
             "independent_parameters": parameters,
-            "normal_ranges_95_si": {name: list(ends) for name, ends in self.normal_ranges().items()},
             "shared_errors": [] if self.table is None else list(self.table.sources),
             "warnings": [notice.as_json() for notice in self.notices],
             "provenance": dict(provenance),

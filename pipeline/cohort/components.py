@@ -15,24 +15,13 @@ _REPETITIONS = 199
 
 @dataclass(frozen=True)
 class Components:
-    """The number of independent parameters.
+    """The number of independent parameters."""
 
-    Attributes
-    ----------
-    estimate : int
-        How many have an intrinsic standard deviation of ln above the smallest that counts.
-    interval : tuple of int
-        95 %; the upper end is the number of quantities where the ears are too few to exclude more.
-    sd : ndarray, (p,)
-        Standard deviations of the components of the true logarithms over ears, the largest first.
-    loadings : ndarray, (p, p)
-        Row k: what one standard deviation of component k changes in the logarithm of each quantity; the
-        sign, which is free, makes the largest entry positive.
-    """
-
-    estimate: int
-    interval: tuple[int, int]
-    sd: Array
+    estimate: int  # how many have an intrinsic standard deviation of ln above the smallest that counts
+    interval: tuple[int, int]  # 95 %; its upper end is the number of quantities where the ears are too few
+    sd: Array  # (p,): of the components of the true logarithms over ears, the largest first
+    # (p, p): row k is what one sd of component k changes in the logarithm of each quantity; its largest
+    # entry is positive
     loadings: Array
 
 
@@ -43,16 +32,10 @@ def independent_parameters(
 
     Parameters
     ----------
-    values : ndarray, (n, p)
-        Logarithms.
-    own : ndarray, (n, p, p)
-        Covariances of their measurement errors.
+    values, own : ndarray, (n, p) and (n, p, p)
+        Logarithms, and covariances of their measurement errors.
     smallest_sd : float
         Components below it count as none.
-    seed : int
-        Of the parametric bootstrap.
-    level : float
-        Of the tests and the interval.
 
     Notes
     -----

@@ -27,23 +27,14 @@ SCHEMAS = {"mass.json": "stapeskit.mass/1", "kd.json": "stapeskit.kd/1"}
 
 @dataclass(frozen=True)
 class Ear:
-    """One finished study.
-
-    Attributes
-    ----------
-    name, folder, side : str
-        Side is empty when the study does not name it.
-    mass, kd : mapping
-        Content of mass.json and kd.json.
-    about : mapping
-        What the study states of the ear: subject, age, sex, group and further covariates.
-    """
+    """One finished study."""
 
     name: str
     folder: str
-    side: str
-    mass: Mapping[str, Any]
-    kd: Mapping[str, Any]
+    side: str  # empty when the study does not name it
+    mass: Mapping[str, Any]  # content of mass.json
+    kd: Mapping[str, Any]  # content of kd.json
+    # what the study states of the ear: subject, age, sex, group and further covariates
     about: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -129,26 +120,14 @@ def source_id(ear: Ear, source: str) -> str:
 
 @dataclass(frozen=True)
 class Quantity:
-    """One number of every ear.
-
-    Attributes
-    ----------
-    unit : str
-        SI.
-    shown : ShownUnit
-        In which people see it.
-    values, sd : ndarray, (ears,)
-        SI; NaN where an ear has none.
-    own_sd : ndarray, (ears,)
-        Without errors that all ears share.
-    """
+    """One number of every ear."""
 
     name: str
-    unit: str
-    shown: ShownUnit
-    values: Array
-    sd: Array
-    own_sd: Array
+    unit: str  # SI
+    shown: ShownUnit  # in which people see it
+    values: Array  # (ears,): SI; NaN where an ear has none
+    sd: Array  # (ears,)
+    own_sd: Array  # (ears,): without errors that all ears share
 
     @property
     def title(self) -> str:

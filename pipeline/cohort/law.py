@@ -22,39 +22,21 @@ from stapeskit.arrays import Array, finite_or_none
 _LOWEST, _HIGHEST = -9.0, 2.5
 # The largest correlation of two ears of one person: at 1 the second ear would add nothing.
 _MOST_ALIKE = 0.97
-# An interval that is not closed within so many widenings of 1.7 has no end: the widest is some thousand
-# times the standard error of least squares.
+# Of 1.7, after which an interval has no end: some thousand times the standard error of least squares.
 _WIDENINGS = 14
 
 
 @dataclass(frozen=True)
 class LogPairs:
-    """Natural logarithms of a predictor x and a response y of n ears.
+    """Natural logarithms of a predictor x and a response y of n ears."""
 
-    Attributes
-    ----------
-    x, y : ndarray, (n,)
-    own : ndarray, (n, 2, 2)
-        Covariance of the measurement errors of (x, y) that belong to each ear alone, with the covariance of x
-        and y: without it the exponent is pulled towards their ratio.
-    shared : ndarray, (n, 2, s)
-        Effect of each of s independent errors of unit variance on (x, y) of every ear.
-    subject : ndarray of int, (n,)
-        Which ears belong to one person; every ear is its own subject when left out.
-    """
-
-    x: Array
-    y: Array
+    x: Array  # (n,)
+    y: Array  # (n,)
+    # (n, 2, 2): covariance of the errors of (x, y) of each ear alone, with that of x and y: without it the
+    # exponent is pulled towards their ratio
     own: Array
-    shared: Array = field(default_factory=lambda: np.zeros((0, 2, 0)))
-    subject: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-
-    def __post_init__(self) -> None:
-        n = len(self.x)
-        defaults = {"subject": np.arange(n), "shared": np.zeros((n, 2, 0))}
-        for name, value in defaults.items():
-            if not len(getattr(self, name)):
-                object.__setattr__(self, name, value)
+    shared: Array  # (n, 2, s): effect of each of s independent errors of unit variance on (x, y) of every ear
+    subject: NDArray[np.int64]  # (n,): which ears belong to one person
 
     @property
     def n(self) -> int:
@@ -133,14 +115,9 @@ def covariance_between_ears(parameters: Array) -> Array:
 
 
 class Profile:
-    """The restricted likelihood as a function of the exponent alone.
+    """The restricted likelihood as a function of the exponent alone, of ears about their means.
 
-    Parameters
-    ----------
-    pairs : LogPairs
-        With their origins near their means.
-    near : ndarray, optional
-        The best point of nearly the same ears, to begin at.
+    It begins at the best point of nearly the same ears, ``near``, where that is known.
     """
 
     def __init__(self, pairs: LogPairs, near: Array | None = None) -> None:
@@ -222,52 +199,32 @@ class Profile:
 
 @dataclass(frozen=True, kw_only=True)
 class PowerLaw:
-    """ln y = a + b ln x + scatter, from the ears of a cohort.
+    """ln y = a + b ln x + scatter, from the ears of a cohort."""
 
-    Attributes
-    ----------
-    n : int
-        Ears.
-    exponent, interval : float, tuple of float
-        b and its 95 % interval; a side that the data do not bound is infinite.
-    p_value, q_value : float
-        Of b = 0, two-sided; false discovery rate within the family.
-    intercept : float
-        a: ln y at x = 1.
-    tau : float
-        Standard deviation of the true ln x over ears.
-    sigma, sigma_interval : float, tuple of float
-        Intrinsic standard deviation of ln y about the law, without measurement errors, and its 95 % interval.
-    rho : float
-        Correlation of ears of one person; 0 where no person has two.
-    reliability : float
-        tau^2 / (tau^2 + s^2) with s^2 the median variance of the errors of ln x: near 0, x is not resolved.
-    pairs : LogPairs
-        The ears that it is fitted to.
-    left_out, left_out_p : ndarray, (n,)
-        ln of each response less what the ears of all other persons predict, and the p-value of an ear that is
-        like them; NaN where they are too few.
-    response, predictor, family : str
-        Names of y and x; ``primary`` (planned) or ``exploratory``.
-    """
-
-    n: int
-    exponent: float
-    interval: tuple[float, float]
-    p_value: float
-    intercept: float
-    tau: float
-    sigma: float
-    sigma_interval: tuple[float, float]
-    rho: float
+    exponent: float  # b
+    interval: tuple[float, float]  # 95 %; a side that the data do not bound is infinite
+    p_value: float  # of b = 0, two-sided
+    intercept: float  # a: ln y at x = 1
+    tau: float  # standard deviation of the true ln x over ears
+    sigma: float  # standard deviation of ln y about the law, without measurement errors
+    sigma_interval: tuple[float, float]  # 95 %
+    rho: float  # correlation of ears of one person; 0 where no person has two
+    # tau^2 / (tau^2 + s^2) with s^2 the median variance of the errors of ln x: near 0, x is not resolved
     reliability: float
-    pairs: LogPairs = field(repr=False, compare=False)
+    pairs: LogPairs = field(repr=False, compare=False)  # the ears that it is fitted to
     response: str = ""
     predictor: str = ""
-    family: str = "exploratory"
+    family: str = "exploratory"  # or primary: planned
+    # (n,): ln of each response less what the ears of all other persons predict, and the p-value of an ear
+    # that is like them; NaN where they are too few
     left_out: Array = field(default_factory=lambda: np.zeros(0), repr=False, compare=False)
     left_out_p: Array = field(default_factory=lambda: np.zeros(0), repr=False, compare=False)
-    q_value: float = float("nan")
+    q_value: float = float("nan")  # false discovery rate within the family
+
+    @property
+    def n(self) -> int:
+        """Number of ears."""
+        return self.pairs.n
 
     @property
     def prediction_error(self) -> float:
@@ -305,16 +262,7 @@ class PowerLaw:
 def fit_law(pairs: LogPairs, level: float = 0.95) -> tuple[PowerLaw, Profile]:
     """Estimate the exponent by restricted likelihood, its interval by the profile, its scatter by Q.
 
-    Returns
-    -------
-    law : PowerLaw
-    profile : Profile
-        Of the ears about their means.
-
-    Raises
-    ------
-    ValueError
-        There are fewer ears than the law has unknowns.
+    The profile that is returned as well is that of the ears, at least five, about their means.
 
     Notes
     -----
@@ -324,8 +272,6 @@ def fit_law(pairs: LogPairs, level: float = 0.95) -> tuple[PowerLaw, Profile]:
     from scipy.special import stdtrit
 
     k = pairs.degrees
-    if k < 1:
-        raise ValueError(f"a law needs more ears than two; got {pairs.n}")
     origin = np.array([pairs.x.mean(), pairs.y.mean()])
     profile = Profile(pairs.shifted(*origin))
     limit = (k + 1) * np.log1p(stdtrit(k, 0.5 * (1.0 + level)) ** 2 / k)
@@ -334,7 +280,6 @@ def fit_law(pairs: LogPairs, level: float = 0.95) -> tuple[PowerLaw, Profile]:
     error = float(np.median(pairs.own[:, 0, 0]))
     rho = float(profile.likelihood.correlation(profile.best[None])[0])
     law = PowerLaw(
-        n=pairs.n,
         exponent=b,
         interval=(profile.side(-1.0, limit), profile.side(1.0, limit)),
         p_value=profile.p_value(),
@@ -354,16 +299,11 @@ def scatter_interval(
 ) -> tuple[float, float]:
     """Return the interval of the intrinsic standard deviation of ln y about a law by its Q-profile.
 
-    Parameters
-    ----------
-    rho : float
-        Correlation of the scatter of ears of one person.
-
     Notes
     -----
     Q(s) = e' V^-1 e with e the residuals of r = y - b x about their weighted means and V = s^2 R + diag(w),
-    w_i the variance of the measurement error of r_i and R the correlation of the scatter, follows chi2 at
-    the true s (Viechtbauer 2007, doi:10.1002/sim.2514, for R = I).
+    w_i the variance of the measurement error of r_i and R the correlation of the scatter by ``rho``, follows
+    chi2 at the true s (Viechtbauer 2007, doi:10.1002/sim.2514, for R = I).
     """
     from scipy.optimize import brentq
     from scipy.special import chdtri

@@ -54,28 +54,16 @@ def full_name(name: str, names: Collection[str]) -> str:
 
 @dataclass(frozen=True)
 class LogTable:
-    """Logarithms of all quantities of all ears.
-
-    Attributes
-    ----------
-    values : ndarray, (n, p)
-        Natural logarithms in SI, predictors first; NaN where an ear lacks one or it is not positive.
-    own : ndarray, (n, p, p)
-        Covariance of the errors of each ear alone.
-    shared : ndarray, (n, p, s)
-        Effect of each error that ears share, in its standard deviations.
-    sources : tuple of str
-        Names of the shared errors.
-    subject : ndarray of int, (n,)
-    """
+    """Logarithms of all quantities of all ears."""
 
     predictors: tuple[str, ...]
     responses: tuple[str, ...]
+    # (n, p): natural logarithms in SI, predictors first; NaN where an ear lacks one or it is not positive
     values: Array
-    own: Array
-    shared: Array
-    sources: tuple[str, ...]
-    subject: NDArray[np.int64]
+    own: Array  # (n, p, p): covariance of the errors of each ear alone
+    shared: Array  # (n, p, s): effect of each error that ears share, in its standard deviations
+    sources: tuple[str, ...]  # names of the shared errors
+    subject: NDArray[np.int64]  # (n,)
     notices: tuple[Notice, ...]
 
     @property

@@ -82,14 +82,6 @@ def cohort_page(cohort: Cohort, failed: Mapping[str, str]) -> page.Page:
     report.section("Ears", *_ear_blocks(cohort, failed))
     if cohort.components is not None:
         report.section("Independent parameters", *_component_blocks(cohort))
-    if ranges := cohort.normal_ranges():
-        rows = []
-        for name, ends in ranges.items():
-            unit = _response_unit(name, cohort.ears)
-            low, high = (float(unit.of(end)) for end in ends)
-            rows.append((name, f"{low:.4g} to {high:.4g} {unit.symbol}"))
-        words = "95 % of further ears of this population lie within these, whatever their size."
-        report.section("Normal ranges", page.text(words), page.table(("response", "95 %"), rows))
     if cohort.laws:
         report.appendix_section("All laws", *_exploratory_blocks(cohort))
     return report

@@ -61,12 +61,8 @@ class Predictor:
     def predict(self, x: float, own_variance: float = 0.0, shared_variance: float = 0.0) -> Prediction:
         """Predict ln y of an ear whose ln x was measured.
 
-        Parameters
-        ----------
-        own_variance : float
-            Of the error of ln x that the ears of the law do not have.
-        shared_variance : float
-            Of the error of ln y that all ears of the law share: the true y scatters by it.
+        ``own_variance`` is that of the error of ln x that the ears of the law do not have, the shared one
+        that of the error of ln y that all ears of the law share: the true y scatters by it.
         """
         psi, means, extra = self._psi, self._means, self._covariance
         gain = (psi[:, 0, 1] + extra[:, 0, 1]) / (psi[:, 0, 0] + extra[:, 0, 0] + own_variance)
@@ -74,12 +70,6 @@ class Predictor:
         variance = psi[:, 1, 1] + extra[:, 1, 1] - gain * (psi[:, 0, 1] + extra[:, 0, 1]) + shared_variance
         low, median, high = (self._quantile(mean, variance, p) for p in (0.025, 0.5, 0.975))
         return Prediction(median + self._origin[1], (low + self._origin[1], high + self._origin[1]))
-
-    def tolerance(self, shared_variance: float = 0.0) -> tuple[float, float]:
-        """Return the 95 % range of ln y of ears of this population, whatever their predictor."""
-        variance = self._psi[:, 1, 1] + self._covariance[:, 1, 1] + shared_variance
-        low, high = (self._quantile(self._means[:, 1], variance, p) for p in (0.025, 0.975))
-        return low + self._origin[1], high + self._origin[1]
 
     def _quantile(self, mean: Array, variance: Array, share: float) -> float:
         """Return a quantile of the mixture of normal distributions over the grid."""
@@ -111,29 +101,18 @@ def _grid(profile: Profile) -> tuple[Array, Array]:
     b = best[1] + reach * np.sinh(bend * u) / np.sinh(bend)
     points = np.stack([axis.ravel() for axis in np.meshgrid(tau, b, sigma, indexing="ij")], axis=1)
     volume = np.broadcast_to(np.cosh(bend * u)[None, :, None], _GRID).ravel()
-    volume = volume * np.exp(
-        points[:, 0] + points[:, 2]
-    )  # flat in tau and sigma, on a grid of their logarithms
+    volume = volume * np.exp(points[:, 0] + points[:, 2])  # flat in tau and sigma, a grid of logarithms
     if len(best) > 3:
         points = np.column_stack([points, np.full(len(points), best[3])])
     return points, volume
 
 
 def left_out(pairs: LogPairs, profile: Profile) -> tuple[Array, Array]:
-    """Predict every ear from the ears of all other persons.
+    """Predict every ear from the ears of all other persons; ``profile`` is that of all about their means.
 
-    Parameters
-    ----------
-    profile : Profile
-        Of the ears about their means.
-
-    Returns
-    -------
-    errors : ndarray, (n,)
-        ln y less its prediction; NaN where the others are too few.
-    p_values : ndarray, (n,)
-        Of such an error, two-sided, where the ear is one like the others (externally studentised residual:
-        Cook and Weisberg 1982, section 2.2.1).
+    Returned are ln y less its prediction (n,), and the two-sided p-value (n,) of such an error where the ear
+    is one like the others (externally studentised residual: Cook and Weisberg 1982, section 2.2.1); NaN
+    where the others are too few.
     """
     from scipy.special import stdtr
 

@@ -60,7 +60,6 @@ def test_an_ear_is_predicted_from_its_scan_alone(ears, laws):
     found = laws.predict(further.mass, "K11", "mass")
     low, high = found.interval_si
     assert low < further.kd["stiffness_si"][0][0] < high
-    assert laws.normal_ranges()["K11"][0] < found.value_si < laws.normal_ranges()["K11"][1]
 
 
 def test_too_few_ears_are_listed_only(ears):

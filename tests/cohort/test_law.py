@@ -1,5 +1,7 @@
 """Exponents of laws: exact where least squares is, covering where both quantities have errors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -57,8 +59,8 @@ def test_an_error_that_all_ears_share_changes_nothing():
     pairs, _ = cohort(np.random.default_rng(2), 12)
     factor = np.ones((12, 2, 1)) * [[0.4], [0.7]]
     plain = law_of(pairs)
-    shared = law_of(LogPairs(pairs.x, pairs.y, pairs.own, factor))
-    moved = law_of(LogPairs(pairs.x + 3.0, pairs.y - 2.0, pairs.own))
+    shared = law_of(replace(pairs, shared=factor))
+    moved = law_of(pairs.shifted(-3.0, 2.0))
     for other in (shared, moved):
         assert other.exponent == pytest.approx(plain.exponent, abs=1e-6)
         assert other.interval == pytest.approx(plain.interval, abs=1e-5)

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from fitting.dof2kd import fit_of
-from fitting.mass import inertia_of
+from fitting.mass import Inertia, inertia_of
 from fitting.options import KDOptions
 from fitting.planned_motion import BASE_POINTS_MM, STAPES_POINTS_MM, Layout, frame_maps
 from fitting.result import KDFit
@@ -186,7 +186,8 @@ def ring_ear(
 def fit(motion, mass, confirmed=(), **options) -> KDFit:
     """Fit as every command does."""
     chosen = KDOptions.of(**options)
-    return fit_of(motion, inertia_of(mass, chosen.dof, "tensor"), chosen, {}, confirmed=confirmed)
+    inertia = mass if isinstance(mass, Inertia) else inertia_of(mass, chosen.dof, "tensor")
+    return fit_of(motion, inertia, chosen, {}, confirmed=confirmed)
 
 
 def with_outline(result, points_mm):

@@ -17,7 +17,6 @@ from fitting.report.page import _modes
 from fitting.verdict import judge, unused_codes
 from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.report.quantities import HERTZ, Quantity
-from stapeskit.spatial import matrix_from_parameters
 from stapeskit.warnings import Notice
 from tests.fit.fit_cases import DOF, D, M, codes, fit, paper_motion, ring_ear, with_outline
 
@@ -153,7 +152,7 @@ def test_the_plan_promises_what_a_fit_of_its_own_simulated_motion_states():
     stated, modes = [], []
     for seed in range(16):  # the median of so many scatters by 5 %
         motion = planned_motion(plan, mass, np.random.default_rng(seed))
-        result = fit(motion, source.mass)
+        result = fit(motion, source)
         own = np.diag(result.covariance - result.model_error @ result.model_error.T)
         stated.append(np.sqrt(own / np.diag(promised.covariance)))
         modes.append(result.derived.frequency_sd_hz / promised.derived.frequency_sd_hz)
