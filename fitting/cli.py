@@ -73,7 +73,7 @@ def _fit(options: KDOptions, files: KDFiles) -> Outcome:
 
 
 def _plan(files: KDFiles) -> Outcome:
-    from fitting.plan import expect, plan_json, plan_page, plan_rows, read_plan
+    from fitting.plan import expect, plan_json, plan_rows, read_plan
     from stapeskit.outputs import Outputs
     from stapeskit.provenance import record
 
@@ -83,17 +83,14 @@ def _plan(files: KDFiles) -> Outcome:
     plan, source = read_plan(path)
     mass = None if source is None else source.file
     inputs = [path, *([mass] if mass is not None else [])]
-    page_name = out.with_suffix(".html").name
-    outputs = Outputs("dof2kd", out.parent, (out.name, page_name), inputs, files.force)
+    outputs = Outputs("dof2kd", out.parent, (out.name,), inputs, files.force)
     outputs.check()
     with progress_line(not files.quiet) as progress:
         progress("simulating and fitting the planned measurement")
         fits = expect(plan, source)
-        provenance = record({"plan": path, "mass": mass}, {})
-        content = plan_json(plan, fits, provenance)
+        content = plan_json(plan, fits, record({"plan": path, "mass": mass}, {}))
         with outputs.staged() as folder:
             (folder / out.name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-            plan_page(plan, fits, provenance).write(folder / page_name)
     rows = plan_rows(fits)
     return Outcome("What the plan reaches", rows, (), outputs.paths(), content, files.as_json, files.quiet)
 

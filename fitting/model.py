@@ -64,47 +64,23 @@ class Modes:
         return self.max_real_1_s <= _ROUNDING * max(sizes, default=0.0)
 
 
-def dynamic_stiffness(
-    stiffness: ArrayLike, damping: ArrayLike, omega: ArrayLike, law: DampingLaw = VISCOUS
-) -> ComplexArray:
-    """Return Z(w) = K + s(w) D, (lines, n, n), SI, at angular frequencies (lines,), rad/s."""
-    factor = law.factor(omega)[:, None, None]
-    return np.asarray(stiffness, dtype=float) + factor * np.asarray(damping, dtype=float)
-
-
 def simulate(
     mass: ArrayLike,
     stiffness: ArrayLike,
     damping: ArrayLike,
     freq_hz: ArrayLike,
     base: ArrayLike,
-    load: ArrayLike | None = None,
     law: DampingLaw = VISCOUS,
 ) -> ComplexArray:
-    """Return the motion of the structure for a base motion and, if any, a known inertial load (paper, Eq. 8).
+    """Return the motion of the structure (lines, n) for a base motion (lines, n), m and rad (paper, Eq. 8).
 
-    Parameters
-    ----------
-    mass, stiffness, damping : array_like, (n, n)
-        SI.
-    freq_hz : array_like, (lines,)
-    base : array_like, (lines, n), complex
-        Base motion at the footplate centre, m and rad.
-    load : array_like, (lines, n), complex, optional
-        w^2 M_rc q_c: the inertial load of measured motion outside the model, N and N m.
-
-    Returns
-    -------
-    ndarray, (lines, n), complex
-        m and rad.
+    Matrices are (n, n), SI; the base motion is that at the footplate centre.
     """
     omega = 2.0 * np.pi * np.asarray(freq_hz, dtype=float)
-    z = dynamic_stiffness(stiffness, damping, omega, law)
-    force = (z @ np.asarray(base, dtype=complex)[..., None])[..., 0]
-    if load is not None:
-        force = force + np.asarray(load, dtype=complex)
-    dynamic = z - omega[:, None, None] ** 2 * np.asarray(mass, dtype=float)
-    return np.asarray(np.linalg.solve(dynamic, force[..., None])[..., 0])
+    elastic = np.asarray(stiffness, dtype=float) + law.factor(omega)[:, None, None] * np.asarray(damping)
+    dynamic = elastic - omega[:, None, None] ** 2 * np.asarray(mass, dtype=float)
+    force = elastic @ np.asarray(base, dtype=complex)[..., None]
+    return np.asarray(np.linalg.solve(dynamic, force)[..., 0])
 
 
 def state_matrix(mass: Array, stiffness: Array, damping: Array) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
@@ -25,9 +25,6 @@ from stapeskit.option_types import Count, DofList, Kind, Positive, Range, number
 from stapeskit.options import Opt, Options, read_toml
 from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.spatial import DOF_NAMES
-
-if TYPE_CHECKING:
-    from stapeskit.report.page import Page
 
 PAPER_STIFFNESS = ((1722.0, 0.414, -0.48), (0.414, 1.37e-3, -6.41e-5), (-0.48, -6.41e-5, 3.79e-3))
 PAPER_DAMPING = (
@@ -213,37 +210,14 @@ def plan_json(plan: Plan, fits: Mapping[str, KDFit], provenance: Mapping[str, An
 
 
 def plan_rows(fits: Mapping[str, KDFit]) -> list[tuple[str, str]]:
-    """Return the rows of the command's table: K, D, modes, and what each change would bring."""
+    """Return the rows of the command: K, D, modes, what limits them, and what each change would bring."""
     planned = next(iter(fits.values()))
     rows = [row for row in planned.summary() if row[0].startswith(("K(", "D(", "mode "))]
     for name, fit in fits.items():
         worst = int(np.argmax(fit.relative_sd))
+        shares = {source: part[worst, worst] for source, part in fit.budget.items()}
+        source = max(shares, key=shares.__getitem__)
         text = f"worst entry {fit.parameters[worst]} {100.0 * fit.relative_sd[worst]:.2g} %"
-        count = len(weak_entries(fit))
-        rows.append((name, f"{text}; {count} of {len(fit.parameters)} entries over 10 %"))
+        over = f"{len(weak_entries(fit))} of {len(fit.parameters)} entries over 10 %"
+        rows.append((name, f"{text}, most of it by {source.replace('_', ' ')}; {over}"))
     return rows
-
-
-def plan_page(plan: Plan, fits: Mapping[str, KDFit], provenance: Mapping[str, Any]) -> Page:
-    """Return plan.html: what a plan reaches, what limits it, and what a change would bring."""
-    from fitting.report.page import budget_blocks, matrices
-    from stapeskit.report import page
-
-    planned, band = next(iter(fits.values())), "{:g} to {:g} Hz".format(*plan.band_hz)
-    lead = f"{plan.lines} lines of {band}, driven along {', '.join(plan.directions)}."
-    made = page.Page("What a planned measurement can reach", lead)
-    made.add(page.table(("", ""), plan_rows(fits), words=True), *matrices(planned))
-    rows = [
-        (
-            name,
-            *(f"{100.0 * value:.2g} %" for value in fit.relative_sd),
-            ", ".join(weak_entries(fit)) or "none",
-        )
-        for name, fit in fits.items()
-    ]
-    caption = "Expected sd relative to sqrt(Xii Xjj)."
-    table = page.table(("", *planned.parameters, "over 10 %"), rows, caption)
-    made.section("What a change would bring", table)
-    made.section("What limits the entries", *budget_blocks(planned))
-    made.appendix_section("Inputs", page.inputs(dict(provenance)))
-    return made

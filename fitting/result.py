@@ -39,43 +39,21 @@ _SMALLEST_WEIGHT = 1e-3  # of an alternative that changes the intervals
 
 @dataclass(frozen=True, repr=False)
 class KDFit(Result):
-    """Stiffness and damping with everything that is known about them, SI.
-
-    Attributes
-    ----------
-    options : KDOptions
-    inertia : Inertia
-    found : Fit
-        What was fitted, without units.
-    search : Search
-        Further unknowns that the data call for.
-    laws, laws_alike : mapping of str to Fit, tuple of str
-        Damping laws that were compared, and those that the data cannot distinguish from the chosen one.
-    active : tuple of str
-        What holds the estimate back: constraints, or the limit of positive semidefinite K and D.
-    bias : ndarray, (p,), or None
-        What noise of the regressor does to K and D, without units; None for maximum likelihood.
-    notices : tuple of Notice
-        Every warning.
-    provenance : mapping
-    scatter : Scatter or None
-        Refits of simulated repetitions.
-    confirmed : tuple of str
-        Codes of warnings that the user has checked.
-    """
+    """Stiffness and damping with everything that is known about them, SI."""
 
     options: KDOptions
     inertia: Inertia
-    found: Fit
-    search: Search = field(default_factory=Search)
-    laws: Mapping[str, Fit] = field(default_factory=dict)
-    laws_alike: tuple[str, ...] = ()
-    active: tuple[str, ...] = ()
+    found: Fit  # what was fitted, without units
+    search: Search = field(default_factory=Search)  # further unknowns that the data call for
+    laws: Mapping[str, Fit] = field(default_factory=dict)  # damping laws that were compared
+    laws_alike: tuple[str, ...] = ()  # those that the data cannot distinguish from the chosen one
+    active: tuple[str, ...] = ()  # what holds the estimate back: constraints, or the limit of K, D >= 0
+    # (p,): what noise of the regressor does to K and D, without units; none for maximum likelihood
     bias: Array | None = None
-    notices: tuple[Notice, ...] = ()
+    notices: tuple[Notice, ...] = ()  # every warning
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    scatter: Scatter | None = None
-    confirmed: tuple[str, ...] = ()
+    scatter: Scatter | None = None  # refits of simulated repetitions
+    confirmed: tuple[str, ...] = ()  # codes of warnings that the user has checked
 
     @property
     def dof(self) -> tuple[str, ...]:

@@ -66,8 +66,8 @@ class Rim:
     """Stiffness along the rim over its mean."""
 
     points_mm: Array  # (n, 2): x and z of the rim in footplate axes
-    ratio: Array  # (n,): stiffness over its mean along the rim, and its standard deviation
-    sd: Array  # (n,): stiffness over its mean along the rim, and its standard deviation
+    ratio: Array  # (n,)
+    sd: Array  # (n,)
     side: str = ""  # ``left``, ``right`` or empty: names z
 
     @property

@@ -148,7 +148,7 @@ class Derived:
     ratio_sd: Array  # (modes,)
     shape_sd: Array  # (modes, n): of the magnitudes of the shapes
     axes: Array | None = None  # (6,): as `fitting.model.principal_axes` has them, for y, alpha, gamma
-    axes_sd: Array | None = None  # (6,): as `fitting.model.principal_axes` has them, for y, alpha, gamma
+    axes_sd: Array | None = None
 
 
 def derived_of(fit: KDFit) -> Derived:

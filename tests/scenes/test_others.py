@@ -22,7 +22,7 @@ def test_a_measurement_as_planned_states_what_the_plan_promised(tmp_path: Path) 
     (tmp_path / "plan.toml").write_text('lines = 60\ndirections = ["y", "x"]\nmass_sd_percent = 0\n')
     fitting.cli.work(["--plan", str(tmp_path / "plan.toml"), "--out", str(tmp_path / "plan.json"), "--quiet"])
     plan, _ = read_plan(tmp_path / "plan.toml")
-    mass = stated_mass(plan).mass.matrix
+    mass = stated_mass(plan).matrix
     np.savetxt(tmp_path / "M.csv", mass, delimiter=",", fmt="%.17g")
     write_motion(tmp_path, "dof", planned_motion(plan, mass, np.random.default_rng(3)))
     words = [str(tmp_path / "dof.csv"), "--mass", str(tmp_path / "M.csv"), "--mass-sign", "tensor"]
