@@ -98,7 +98,8 @@ def _physics(fit: KDFit) -> Iterator[Notice]:
 def _noise(fit: KDFit) -> Iterator[Notice]:
     """Report what the residuals say of noise and model."""
     found = fit.found
-    if not found.converged and not fit.weak.shape[1]:
+    weak = fit.weak is not None and fit.weak.shape[1]
+    if not found.converged and not weak:
         yield Notice("not_converged", "The fit stopped before it settled; do not trust the result.")
     if found.data.floored:
         text = "The motion has no noise: it was taken as known to 8 digits, and K and D as that allows."

@@ -8,18 +8,20 @@ from dataclasses import replace
 import numpy as np
 
 from fitting import entries
+from fitting.bands import band_factors
 from fitting.data import Data
 from fitting.evidence import Search, law_alternative, search
 from fitting.laws import LAWS
 from fitting.likelihood import LOAD, PLAIN, Model
 from fitting.mass import Inertia
 from fitting.options import COMPARE, IGNORE, LOADED, KDOptions
-from fitting.plane import applies, plane_model
+from fitting.plane import applies, in_plane, plane_model
 from fitting.result import KDFit
 from fitting.solve import Fit, bic, fit, with_covariance
 from fitting.textbook import estimate
 from fitting.uncertainty import alike_lines
 from fitting.unknowns import UNKNOWNS
+from fitting.weak import weak_spread
 from stapeskit.faults import StapeskitError
 
 _LAW_ALIKE = 6.0  # difference of BIC within which another law is as likely: odds e^3
@@ -72,6 +74,9 @@ def fit_kd(data: Data, inertia: Inertia, options: KDOptions, causes: bool = True
         laws,
         alike,
         _at_the_limit(found),
+        in_plane(found) if found.likelihood.model.coupling is not None else None,
+        weak_spread(found),
+        band_factors(found),
     )
 
 

@@ -20,14 +20,13 @@ from fitting.draws import root_of, standard_draws
 from fitting.entries import diagonal, split, vector
 from fitting.likelihood import INPLANE, PLANE, Likelihood, Model, Prior
 from fitting.solve import Fit, entry_scale, minimise, start_of, with_covariance
-from fitting.weak import weak_spread
+from fitting.weak import INFORMED, weak_spread
 from stapeskit.arrays import Array
 from stapeskit.spatial import DOF_NAMES
 
 PISTON_DOF = ("y", "alpha", "gamma")
 INPLANE_DOF = ("x", "z", "beta")
 _MM = 1e-3
-_INFORMED = 0.9  # sd over that before, from which on a stiffness counts as told
 
 
 @cache
@@ -112,11 +111,11 @@ def in_plane(found: Fit) -> InPlane:
             continue
         p_value = float(chdtrc(6 * lines.count, chi2))
         if converged and p_value > _calibrated()["inplane_least_p"]:
-            weak = weak_spread(own)
+            weak = weak_spread(own, 2)  # the turn about y hardly enters K
             covariance = (own.covariance + weak @ weak.T)[: len(scale), : len(scale)]
             covariance = covariance * np.outer(scale, scale)
             left = np.sqrt(np.diag(covariance) / np.diag(usual.covariance))[diagonal(3)]
-            told = bool(np.all(left[:2] < _INFORMED))
+            told = bool(np.all(left[:2] < INFORMED))
             return InPlane(theta[: len(scale)] * scale, covariance, told, p_value)
     return InPlane(usual.mean, usual.covariance, False, p_value)
 

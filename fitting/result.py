@@ -11,16 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting import entries
-from fitting.bands import BandFactors, band_factors
+from fitting.bands import BandFactors
 from fitting.evidence import Search
 from fitting.laws import DampingLaw
 from fitting.mass import Inertia
 from fitting.model import Modes, modes, passive
 from fitting.options import KDOptions
-from fitting.plane import PISTON_DOF, InPlane, Posterior, coupling_scale, heights, in_plane, posterior
+from fitting.plane import PISTON_DOF, InPlane, Posterior, coupling_scale, heights, posterior
 from fitting.solve import Fit, bend, entry_scale
 from fitting.uncertainty import Derived, budget_of, derived_of, effect_of, known_exactly, unexplained
-from fitting.weak import weak_spread
 from stapeskit.arrays import Array
 from stapeskit.results import Result
 from stapeskit.warnings import Notice
@@ -48,6 +47,9 @@ class KDFit(Result):
     laws: Mapping[str, Fit] = field(default_factory=dict)  # damping laws that were compared
     laws_alike: tuple[str, ...] = ()  # those that the data cannot distinguish from the chosen one
     active: tuple[str, ...] = ()  # what holds the estimate back: constraints, or the limit of K, D >= 0
+    plane: InPlane | None = None  # stiffness in the plane of the ligament, where that was estimated
+    weak: Array | None = None  # (t, k): columns of the error of weak entries
+    bands: BandFactors | None = None  # local stiffness and damping over those of the whole band
     # (p,): what noise of the regressor does to K and D, without units; none for maximum likelihood
     bias: Array | None = None
     notices: tuple[Notice, ...] = ()  # every warning
@@ -69,21 +71,6 @@ class KDFit(Result):
     def mass(self) -> Array:
         """Mass matrix (n, n)."""
         return self.inertia.block(self.dof)
-
-    @cached_property
-    def plane(self) -> InPlane | None:
-        """Stiffness and damping in the plane of the ligament, where that was estimated."""
-        return None if self.found.likelihood.model.coupling is None else in_plane(self.found)
-
-    @cached_property
-    def weak(self) -> Array:
-        """Columns (t, k) of the error of weak entries; those of textbooks have none of their own."""
-        return weak_spread(self.found) if self.bias is None else np.zeros((len(self.found.theta), 0))
-
-    @cached_property
-    def bands(self) -> BandFactors | None:
-        """Local stiffness and damping over those of the whole band."""
-        return band_factors(self.found) if self.bias is None else None
 
     @cached_property
     def draws(self) -> Posterior:
@@ -134,7 +121,9 @@ class KDFit(Result):
     @cached_property
     def model_error(self) -> Array:
         """Columns E (p, k): by E E^T what the model may lack puts K and D off, averaged over alternatives."""
-        columns = [self._to_centre @ self.weak]
+        columns = [np.zeros((len(self.values), 0))]
+        if self.weak is not None:
+            columns.append(self._to_centre @ self.weak)
         for weight, other in zip(self.search.weights, self.search.alternatives, strict=True):
             if weight > _SMALLEST_WEIGHT:
                 columns.append(np.sqrt(weight) * effect_of(self, other))

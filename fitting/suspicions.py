@@ -107,14 +107,14 @@ def suspicions(data: Data, options: KDOptions) -> list[Notice]:
     model = Model(law, LOAD if data.loads_known else PLAIN)
     bare, mixed = data.without_errors(), 0 < np.sum(_turning(data)) < len(data.measured)
     own, n_dof = _level(bare, model), degrees(Likelihood(bare, model))
+    misfit = chdtrc(n_dof, n_dof * own) < MISFIT_P
     tried = [
         (_level(reading.read(bare), model), number, reading)
         for number, reading in enumerate(_READINGS)
-        if (own >= _BAD or (reading.mild and own > 1.0)) and (mixed or reading.code != "unit_slip")
+        if (own >= _BAD or (reading.mild and misfit)) and (mixed or reading.code != "unit_slip")
     ]
     for level, _, reading in sorted(tried)[:1]:
-        explained = chdtrc(n_dof, n_dof * level) > MISFIT_P > chdtrc(n_dof, n_dof * own)
-        sure = explained and n_dof * (own - level) > _DECISIVE
+        sure = misfit and chdtrc(n_dof, n_dof * level) > MISFIT_P and n_dof * (own - level) > _DECISIVE
         most = min(_BETTER * own, _UNITS if reading.code == "unit_slip" else np.inf)
         if sure or (own >= _BAD and level < most):
             text = f"{reading.meaning} with chi2 per degree of freedom {level:.3g} instead of {own:.3g}"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.cohort.ears import Ear, Quantity, quantities, read_ears
+from pipeline.cohort.ears import Ear, Quantity, common_damping_exponent, quantities, read_ears
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.records.rigid_motion import RigidMotion
@@ -36,6 +36,12 @@ class Comparison:
     # (quantities, 3): second minus first, its sd, SI, and the two-sided p-value of no difference; errors that
     # both share (a density of the same statement) cancel
     differences: Array
+
+    @property
+    def remark(self) -> str:
+        """What is not compared, and why; empty where everything is."""
+        what = "D is not compared: the damping laws, or their exponents, differ, and with them its unit."
+        return what if _laws_differ(*self.ears) else ""
 
     def rows(self) -> list[tuple[str, ...]]:
         """Return a row a quantity: name, first, second, difference, p."""
@@ -89,9 +95,20 @@ def compare(first: Path, second: Path) -> Comparison:
     if one.kd["dof"] != other.kd["dof"]:
         got = f"{', '.join(one.kd['dof'])} and {', '.join(other.kd['dof'])}"
         raise StapeskitError.of("degrees of freedom", "the same in both results", got)
-    both = tuple(row for row in quantities([one, other]) if np.all(np.isfinite(row.values)))
+    alike = not _laws_differ(one, other)
+    both = tuple(
+        row
+        for row in quantities([one, other])
+        if np.all(np.isfinite(row.values)) and (alike or not row.name.startswith("D_"))
+    )
     differences = np.array([_difference(row) for row in both])
     return Comparison((one, other), (_motion(first), _motion(second)), both, differences)
+
+
+def _laws_differ(one: Ear, other: Ear) -> bool:
+    """Return whether D of two ears are different things, each with a unit of its own."""
+    laws = {str((ear.kd.get("model") or {}).get("damping_law")) for ear in (one, other)}
+    return len(laws) > 1 or common_damping_exponent([one, other]) is None
 
 
 def _motion(folder: Path) -> RigidMotion | None:
@@ -148,7 +165,7 @@ def compare_page(comparison: Comparison) -> Page:
         f"share (one stated density) cancels. Of {count} rows one below {0.05 / count:.2g} is a finding "
         "(5 %, Bonferroni)."
     )
-    made.add(page.table(head, comparison.rows()), page.text(words))
+    made.add(page.table(head, comparison.rows()), page.text(f"{words} {comparison.remark}"))
     caption = "Piston motion of the stapes over that of the bone, as measured."
     made.add(page.figure(compare_figure(comparison), caption, "responses of both results"))
     return made

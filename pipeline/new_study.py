@@ -41,9 +41,7 @@ class Found:
 
     scans: list[Path] = field(default_factory=list)
     measurements: list[Path] = field(default_factory=list)
-    others: dict[str, Path] = field(
-        default_factory=dict
-    )  # fiducials, labels ..., by their key
+    others: dict[str, Path] = field(default_factory=dict)  # fiducials, labels ..., by their key
 
 
 def look(folder: Path) -> Found:

@@ -136,6 +136,7 @@ def _compare(words: list[str]) -> Outcome:
             (name, f"{first} | {second}; difference {change}, p = {p}")
             for name, first, second, change, p in found.rows()
         ]
+        rows += [("mind", found.remark)] if found.remark else []
     if changes:
         for ear, folder in zip(read_folders(folders), folders, strict=True):
             rows += [row for change in changes for row in effect_rows(ear, folder, change)]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.cohort.ears import Ear
+from pipeline.cohort.ears import Ear, unique_names
 from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
@@ -57,13 +57,14 @@ _ALIKE: Mapping[str, Callable[[Ear], str]] = {
 def cohort_faults(ears: Sequence[Ear]) -> list[Fault]:
     """Return every reason why ears are no cohort."""
     faults = [] if ears else [Fault("the cohort", "of at least one ear", "none")]
+    names = dict(zip(map(id, ears), unique_names(ears), strict=True))
     reported: set[tuple[int, ...]] = set()
     for what, key in _ONE_EAR.items():
         for value, members in _groups(ears, key).items():
             places = tuple(map(id, members))
             if len(members) > 1 and value not in (None, "") and places not in reported:
                 reported.add(places)
-                listed = ", ".join(f"{ear.name} ({ear.folder})" for ear in members)
+                listed = ", ".join(names[id(ear)] for ear in members)
                 text, step = f"{what} in {listed}", "Leave one of them out, or correct their studies"
                 faults.append(Fault("an ear", "in a cohort once", text, "", step))
     for ear in ears:
@@ -76,7 +77,7 @@ def cohort_faults(ears: Sequence[Ear]) -> list[Fault]:
         if len(groups) < 2:
             continue
         kinds = "; ".join(
-            f"{value or 'not stated'}: {', '.join(ear.name for ear in them)}"
+            f"{value or 'not stated'}: {', '.join(names[id(ear)] for ear in them)}"
             for value, them in groups.items()
         )
         wanted, step = "the same in all ears of a cohort", "Make a cohort of each kind"
@@ -89,10 +90,10 @@ def shared_scans(ears: Sequence[Ear]) -> list[Notice]:
     found = []
     for value, members in _groups(ears, _body_of_scan).items():
         if value and len(members) > 1:
-            names = ", ".join(ear.name for ear in members)
+            listed = ", ".join(unique_names(members))
             text = (
-                f"Ears with the same body of the same scan: {names}. Either one ear is there more than once, "
-                "or a study names the scan of another ear."
+                f"Ears with the same body of the same scan: {listed}. Either one ear is there more than "
+                "once, or a study names the scan of another ear."
             )
             found.append(Notice("scan_shared", text))
     return found

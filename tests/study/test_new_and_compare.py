@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -103,6 +104,12 @@ def test_a_result_does_not_differ_from_itself(finished: StudyResult, tmp_path: P
     for other in (tmp_path, finished.out):
         with pytest.raises(StapeskitError):
             compare(finished.out, other)
+    kd = json.loads((tmp_path / "again" / "kd.json").read_text())
+    kd["model"] |= {"damping_law": "hysteretic", "damping_exponent": 0.0}
+    (tmp_path / "again" / "kd.json").write_text(json.dumps(kd))
+    found = compare(finished.out, tmp_path / "again")  # D in N s/m and in N/m
+    assert not [row.name for row in found.quantities if row.name.startswith("D")]
+    assert found.remark
 
 
 def test_results_of_earlier_commands_are_no_inputs_of_a_new_study(files: Path, finished: StudyResult) -> None:
