@@ -49,7 +49,7 @@ def work(words: Sequence[str]) -> Outcome:
 
 def _fit(options: KDOptions, files: KDFiles) -> Outcome:
     from fitting.dof2kd import find_mass, fit_files
-    from fitting.exports import file_names, write_into
+    from fitting.exports import file_names
     from stapeskit.outputs import Outputs
 
     motion_file = files.motion
@@ -64,7 +64,7 @@ def _fit(options: KDOptions, files: KDFiles) -> Outcome:
         fit = fit_files(motion_file, mass_file, options, force=files.force, report=progress)
         progress("drawing the page")
         with outputs.staged() as folder:
-            write_into(fit, folder, out.name, files.export)
+            fit.write_into(folder, name=out.name, export=files.export)
     rows = list(fit.summary())
     if files.mass is None:
         rows.append(("mass", f"{mass_file} (found next to the motion)"))

@@ -125,16 +125,7 @@ def data_of(
 ) -> Data:
     """Choose the lines of a fit, scale them and gather the errors that they share.
 
-    Parameters
-    ----------
-    motion : RigidMotion
-        About the footplate centre, in footplate axes.
-    inertia : Inertia
-        About the same point in the same axes.
-    dof : tuple of str
-        Degrees of freedom of the model.
-    band_hz, exclude_hz
-        Lines outside the one, or inside any of the others, are left out.
+    Lines outside ``band_hz``, or inside any of ``exclude_hz``, are left out.
 
     Raises
     ------

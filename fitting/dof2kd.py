@@ -79,12 +79,7 @@ def fit_files(
 ) -> KDFit:
     """Read motion and mass, where they are files, and fit; see `dof2kd`.
 
-    Parameters
-    ----------
-    command : sequence of str, optional
-        For the provenance; None: the command line of this process.
-    report : callable
-        Gets the step at work.
+    ``command`` is for the provenance, None that of this process; ``report`` gets the step at work.
     """
     file = Path(motion) if isinstance(motion, str | os.PathLike) else None
     report("reading motion and mass")

@@ -118,10 +118,7 @@ class Search:
 def search(found: Fit, laws: bool = True) -> Search:
     """Score every unknown and refit with the likeliest; in a misfit also with those that may be large.
 
-    Parameters
-    ----------
-    laws : bool
-        Whether other damping laws are among the causes: the law was stated and not compared.
+    Other damping ``laws`` are among the causes where the law was stated and not compared.
     """
     present = {unknown.name: unknown for unknown in found.likelihood.model.unknowns}
     table = [unknown for unknown in candidates(found.data) if unknown.name not in present]
@@ -197,10 +194,7 @@ def _of_families(scores: Sequence[Score]) -> list[Score]:
 def _refit(found: Fit, score: Score, explained: bool) -> Alternative | None:
     """Fit with an unknown; None where it does not settle.
 
-    Parameters
-    ----------
-    explained : bool
-        Whether another unknown explains the data: sizes far from first order are not tried then.
+    Where another unknown explains the data, sizes far from first order are not tried.
     """
     own, model = score.unknown, found.likelihood.model
     unknown = own if own.only is None else own.fixed(own.only)

@@ -208,21 +208,3 @@ def file_names(name: str, export: Sequence[str] = ()) -> tuple[str, ...]:
     stem = Path(name).stem
     more = (f"{stem}{ending}" for one in export for ending in EXPORTS[one])
     return (name, *(f"{stem}{ending}" for ending in (".html", ".mat", ".csv")), *more)
-
-
-def write_into(
-    fit: KDFit, folder: Path, name: str, export: Sequence[str] = (), report: bool = True
-) -> tuple[str, ...]:
-    """Write the files of a fit into an empty folder; return their names."""
-    names, stem = file_names(name, export), Path(name).stem
-    texts = {f"{stem}{ending}": make(fit) for one in export for ending, make in EXPORTS[one].items()}
-    texts[name] = json.dumps(fit.content(), indent=1) + "\n"
-    texts[f"{stem}.csv"] = csv_of(entry_columns(fit))
-    if report:
-        from fitting.report.page import kd_page
-
-        kd_page(fit).write(folder / f"{stem}.html")
-    (folder / f"{stem}.mat").write_bytes(matlab(fit))
-    for file, text in texts.items():
-        (folder / file).write_text(text, encoding="utf-8")
-    return tuple(one for one in names if report or not one.endswith(".html"))

@@ -28,12 +28,7 @@ _LAW_ALIKE = 6.0  # difference of BIC within which another law is as likely: odd
 
 
 def fit_kd(data: Data, inertia: Inertia, options: KDOptions, causes: bool = True) -> KDFit:
-    """Fit stiffness and damping to scaled data.
-
-    Parameters
-    ----------
-    causes : bool
-        Whether further unknowns are searched for.
+    """Fit stiffness and damping to scaled data, and search for further unknowns where asked to.
 
     Raises
     ------

@@ -147,18 +147,9 @@ def moved_eigenvalues(
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return eigenvalues (draws, modes) and shapes (draws, modes, n) of models near one that is solved.
 
-    Parameters
-    ----------
-    found : Modes
-        Of the model in the middle.
-    mass, stiffness, damping : ndarray, (draws, n, n)
-    steps : int
-        Of the iteration where the law is not viscous.
-
-    Notes
-    -----
-    Each eigenvalue is followed from the middle: lambda^2 M + s(lambda) D + K is linear in M, D and K, so that
-    it is solved with s frozen at the eigenvalue of the step before, all draws at once.
+    Matrices are (draws, n, n). Each eigenvalue is followed from the middle: lambda^2 M + s(lambda) D + K is
+    linear in M, D and K, so that it is solved with s frozen at the eigenvalue of the step before, all draws
+    at once.
     """
     n = mass.shape[-1]
     values = np.zeros((len(mass), len(found.pairs)), dtype=complex)

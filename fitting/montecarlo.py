@@ -35,12 +35,7 @@ class Scatter:
 def scatter(
     result: KDFit, refits: int, seed: int = 0, report: Callable[[str, float | None], None] | None = None
 ) -> Scatter:
-    """Repeat a measurement and fit each repetition.
-
-    Parameters
-    ----------
-    report : callable, optional
-        Gets the expected duration after the first repetition.
+    """Repeat a measurement and fit each repetition; ``report`` gets the duration after the first one.
 
     Notes
     -----

@@ -155,10 +155,7 @@ def posterior(
 ) -> Posterior:
     """Draw K and D about the footplate centre: K = K' + Y K_cc Y^T.
 
-    Parameters
-    ----------
-    bent : ndarray, (k, p, t), optional
-        Second order of K and D in the shared errors (`fitting.solve.bend`).
+    ``bent`` (k, p, t) is the second order of K and D in the shared errors (`fitting.solve.bend`).
     """
     size, n = len(found.theta), found.likelihood.n
     normal = standard_draws(draws, size + (0 if plane is None else len(plane.entries)), seed)
@@ -188,14 +185,7 @@ def _lifted(couplings: Array, inside: Array, n: int) -> Array:
 
 
 def heights(coupling: Array, covariance: Array) -> tuple[float, float]:
-    """Return the weighted mean height of the plane above the footplate centre and its sd, m.
-
-    Parameters
-    ----------
-    coupling : ndarray, (3, 3)
-        Y, SI.
-    covariance : ndarray, (9, 9)
-    """
+    """Return the weighted mean height of the plane above the footplate centre and its sd, m, of Y in SI."""
     places, signs = [4, 6], np.array([1.0, -1.0])
     own = covariance[np.ix_(places, places)] * np.outer(signs, signs)
     weights = np.linalg.solve(own, np.ones(2))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -270,9 +271,20 @@ class KDFit(Result):
         self, folder: Path, *, name: str = "kd.json", export: Sequence[str] = (), report: bool = True
     ) -> tuple[str, ...]:
         """Write kd.json, kd.mat, kd.csv, exports and, unless left out, kd.html into an empty folder."""
-        from fitting.exports import write_into
+        from fitting.exports import EXPORTS, csv_of, entry_columns, file_names, matlab
 
-        return write_into(self, folder, name, export, report)
+        names, stem = file_names(name, export), Path(name).stem
+        texts = {f"{stem}{ending}": make(self) for one in export for ending, make in EXPORTS[one].items()}
+        texts[name] = json.dumps(self.content(), indent=1) + "\n"
+        texts[f"{stem}.csv"] = csv_of(entry_columns(self))
+        if report:
+            from fitting.report.page import kd_page
+
+            kd_page(self).write(folder / f"{stem}.html")
+        (folder / f"{stem}.mat").write_bytes(matlab(self))
+        for file, text in texts.items():
+            (folder / file).write_text(text, encoding="utf-8")
+        return tuple(one for one in names if report or not one.endswith(".html"))
 
     def write(
         self, folder: Path | str, *, force: bool = False, name: str = "kd.json", export: Sequence[str] = ()

@@ -44,12 +44,8 @@ def with_shared_errors(
 ) -> Data:
     """Add the errors of motion and mass that all lines share, each of unit variance.
 
-    The displacement of the footplate frame is one error of motion and mass: it moves both.
-
-    Parameters
-    ----------
-    keep : ndarray, (runs, freq), bool
-        Lines of the motion that are in the data.
+    The displacement of the footplate frame is one error of motion and mass: it moves both. ``keep`` (runs,
+    freq) are the lines of the motion that are in the data.
     """
     shared, sources, maps = motion.shared, list[str](), tuple[Maps, ...]()
     names = () if shared is None else shared.names

@@ -213,7 +213,6 @@ def fit(
 
     Parameters
     ----------
-    start : ndarray, (p,), optional
     noise : float, optional
         Where the noise level begins: that of a fit with fewer unknowns.
     robust : bool

@@ -33,19 +33,14 @@ def estimate(
     Parameters
     ----------
     constrained : bool
-        Keep signs, ranges and stability: of the eigenvalues (paper), of laws that are not viscous by positive
-        semidefinite K and D, which is sufficient for it.
-    lower, upper : mapping of str to float
-        Bounds of entries, SI.
+        Keep signs, ranges (lower, upper, SI) and stability: of the eigenvalues (paper), of laws that are not
+        viscous by positive semidefinite K and D, which is sufficient for it.
 
     Returns
     -------
-    found : Fit
-        With the covariance of the estimate: noise, and the shared errors that it does not estimate.
-    bias : ndarray, (p,)
-        What noise of the regressor does to K and D, scaled.
-    active : tuple of str
-        What holds the estimate back.
+    fit, bias, active
+        With the covariance by noise and by the shared errors, which are not estimated; what noise of the
+        regressor does to K and D, scaled, (p,); and what holds the estimate back.
     """
     likelihood = Likelihood(data, model)
     entries, law, theta = likelihood.at["entries"], likelihood.at["law"], likelihood.mean.copy()
