@@ -112,36 +112,26 @@ def six_dof_matrices(plan: Plan) -> tuple[Array, Array]:
     return found[0], found[1]
 
 
-def planned_motion(plan: Plan, mass: Array, rng: np.random.Generator | None = None) -> RigidMotion:
-    """Return the motion of a plan with covariance and shared errors; with ``rng`` all of them are drawn."""
+def planned_motion(plan: Plan, mass: Array) -> RigidMotion:
+    """Return the motion of a plan, exact, with the covariance and shared errors that it will have."""
     freq = np.linspace(*plan.band_hz, plan.lines)
     omega, runs = 2.0 * np.pi * freq, len(plan.directions)
     stiffness, damping = six_dof_matrices(plan)
     q = np.empty((runs, 2, plan.lines, 6), dtype=complex)
     covariance = np.empty((runs, 2, plan.lines, 6, 6), dtype=complex)
-    level = np.sqrt(2.0) * plan.noise_m_s / omega  # root of E|noise|^2 of a reading, m
-    names, sds, maps, powers = _errors(plan)
-    drawn = np.zeros(len(names)) if rng is None else np.array(sds) * rng.standard_normal(len(names))
     for run, direction in enumerate(plan.directions):
         q[run, 1] = _base_motion(plan, freq, direction)
         q[run, 0] = simulate(mass, stiffness, damping, freq, q[run, 1])
-        for body, layout in enumerate(plan.layouts):
-            inverse = layout.inverse
-            covariance[run, body] = np.square(level)[:, None, None] * (inverse @ inverse.T)
-            turn = np.eye(6) + np.einsum("k,kl,kij->lij", drawn, _growth(powers, omega), maps[:, body])
-            q[run, body] = (turn @ q[run, body][..., None])[..., 0]
-            if rng is not None:
-                draws = rng.standard_normal((2, plan.lines, inverse.shape[1])) * np.sqrt(0.5)
-                q[run, body] += level[:, None] * ((draws[0] + 1j * draws[1]) @ inverse.T)
-    derivatives = np.einsum("kl,kbij,rblj->krbli", _growth(powers, omega), maps, q)
+    for body, layout in enumerate(plan.layouts):
+        own = layout.inverse @ layout.inverse.T
+        covariance[:, body] = 2.0 * np.square(plan.noise_m_s / omega)[:, None, None] * own
+    names, sds, maps, powers = _errors(plan)
+    growth = (1j * omega)[None] ** np.array(powers)[:, None]
+    derivatives = np.einsum("kl,kbij,rblj->krbli", growth, maps, q)
     shared = SharedErrors(tuple(names), np.diag(np.square(sds)), derivatives, maps, np.array(powers))
     none = np.zeros((runs, 2, plan.lines))
     labels = tuple(f"run {run + 1}, driven along {name}" for run, name in enumerate(plan.directions))
     return RigidMotion(labels, ("stapes", "base"), DOF_NAMES, freq, q, covariance, none, none, shared=shared)
-
-
-def _growth(powers: list[int], omega: Array) -> ComplexArray:
-    return np.asarray((1j * omega)[None] ** np.array(powers)[:, None])
 
 
 def _errors(plan: Plan) -> tuple[list[str], list[float], ComplexArray, list[int]]:

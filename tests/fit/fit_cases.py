@@ -197,6 +197,17 @@ def with_outline(result, points_mm):
     return replace(result, inertia=replace(result.inertia, record=record))
 
 
+def drawn(motion, rng):
+    """A planned motion with its shared errors and noise of readings drawn."""
+    shared = motion.shared
+    errors = np.sqrt(np.diag(shared.covariance)) * rng.standard_normal(len(shared.names))
+    growth = (2j * np.pi * motion.freq_hz)[None] ** shared.powers[:, None]
+    turn = np.eye(6) + np.einsum("k,kl,kbij->blij", errors, growth, shared.maps)
+    noise = rng.standard_normal((2, *motion.q.shape)) * np.sqrt(0.5)
+    noise = np.linalg.cholesky(motion.covariance) @ (noise[0] + 1j * noise[1])[..., None]
+    return replace(motion, q=(turn @ motion.q[..., None] + noise)[..., 0])
+
+
 def deviation(result, truth=TRUTH):
     """Errors of K and D in their standard deviations."""
     return (result.values - truth) / np.sqrt(np.diag(result.covariance))

@@ -18,13 +18,13 @@ from fitting.verdict import judge, unused_codes
 from stapeskit.records.mass_matrix import MassMatrix
 from stapeskit.report.quantities import HERTZ, Quantity
 from stapeskit.warnings import Notice
-from tests.fit.fit_cases import DOF, D, M, codes, fit, paper_motion, ring_ear, with_outline
+from tests.fit.fit_cases import DOF, D, M, codes, drawn, fit, paper_motion, ring_ear, with_outline
 
 
 @pytest.fixture(scope="module")
 def ear():
-    drawn = ring_ear(21, lines=60)
-    return drawn, fit(drawn.motion, drawn.mass)
+    made = ring_ear(21, lines=60)
+    return made, fit(made.motion, made.mass)
 
 
 def test_reasons_are_by_weight_and_causes_come_before_what_they_make():
@@ -121,8 +121,8 @@ def test_sources_and_bound_agree_with_the_whole(ear):
 
 
 def test_density_sd_reaches_k_and_no_mode_and_no_response(ear):
-    drawn, result = ear
-    exact = fit(drawn.motion, MassMatrix(drawn.mass.parameters))
+    made, result = ear
+    exact = fit(made.motion, MassMatrix(made.mass.parameters))
     grown = result.covariance[0, 0] - exact.covariance[0, 0]
     assert np.sqrt(grown) / result.stiffness[0, 0] == pytest.approx(0.02, rel=0.1)
     assert result.derived.frequency_sd_hz == pytest.approx(exact.derived.frequency_sd_hz, rel=0.1)
@@ -151,7 +151,7 @@ def test_the_plan_promises_what_a_fit_of_its_own_simulated_motion_states():
     mass = source.matrix
     stated, modes = [], []
     for seed in range(16):  # the median of so many scatters by 5 %
-        motion = planned_motion(plan, mass, np.random.default_rng(seed))
+        motion = drawn(planned_motion(plan, mass), np.random.default_rng(seed))
         result = fit(motion, source)
         own = np.diag(result.covariance - result.model_error @ result.model_error.T)
         stated.append(np.sqrt(own / np.diag(promised.covariance)))
@@ -199,8 +199,8 @@ def test_warnings_travel_with_motion():
 
 def test_standard_deviations_of_modes_are_those_of_draws_of_k_and_d(ear):
     """The mass is exact: eigenvalues of 4000 normal draws, which know a standard deviation to 1 %."""
-    drawn, _ = ear
-    result = fit(drawn.motion, MassMatrix(drawn.mass.parameters))
+    made, _ = ear
+    result = fit(made.motion, MassMatrix(made.mass.parameters))
     rng = np.random.default_rng(2)
     size = np.sqrt(np.diag(result.covariance))
     root = np.linalg.cholesky(result.covariance / np.outer(size, size))

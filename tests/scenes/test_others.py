@@ -13,6 +13,7 @@ import kinematics.cli
 from fitting.plan import read_plan, stated_mass
 from fitting.planned_motion import planned_motion, six_dof_matrices
 from stapeskit.records.motion_file import read_motion, write_motion
+from tests.fit.fit_cases import drawn
 from tests.scenes.chain import distance_of
 
 SHARED = Path(__file__).parents[3] / "shared" / "data" / "virtual_point"
@@ -24,7 +25,7 @@ def test_a_measurement_as_planned_states_what_the_plan_promised(tmp_path: Path) 
     plan, _ = read_plan(tmp_path / "plan.toml")
     mass = stated_mass(plan).matrix
     np.savetxt(tmp_path / "M.csv", mass, delimiter=",", fmt="%.17g")
-    write_motion(tmp_path, "dof", planned_motion(plan, mass, np.random.default_rng(3)))
+    write_motion(tmp_path, "dof", drawn(planned_motion(plan, mass), np.random.default_rng(3)))
     words = [str(tmp_path / "dof.csv"), "--mass", str(tmp_path / "M.csv"), "--mass-sign", "tensor"]
     fitting.cli.work([*words, "--unknowns", "none", "--out", str(tmp_path / "kd.json"), "--quiet"])
     promised, found = (json.loads((tmp_path / name).read_text()) for name in ("plan.json", "kd.json"))
