@@ -114,9 +114,10 @@ def in_plane(found: Fit) -> InPlane:
             weak = weak_spread(own, 2)  # the turn about y hardly enters K
             covariance = (own.covariance + weak @ weak.T)[: len(scale), : len(scale)]
             covariance = covariance * np.outer(scale, scale)
-            left = np.sqrt(np.diag(covariance) / np.diag(usual.covariance))[diagonal(3)]
-            told = bool(np.all(left[:2] < INFORMED))
-            return InPlane(theta[: len(scale)] * scale, covariance, told, p_value)
+            left = np.sqrt(np.diag(covariance) / np.diag(usual.covariance))
+            told = bool(np.all(left[diagonal(3)][:2] < INFORMED))
+            most = 1.0 / np.maximum(left, 1.0)  # data leave no more open than it was before
+            return InPlane(theta[: len(scale)] * scale, covariance * np.outer(most, most), told, p_value)
     return InPlane(usual.mean, usual.covariance, False, p_value)
 
 
