@@ -188,6 +188,8 @@ class BodySurface:
     misfit_mm : float
     level_sd_mm : float
         Standard deviation of one shift of the whole surface along its normal: levels of air and bone.
+    cuts : tuple of (ndarray (3,), float)
+        Middle in the scan, mm, and area, mm2, of where the border of the scan cuts the body.
     one_sd : ndarray of float32, [z, y, x], or None
         The field with what was subtracted around the body (media, neighbours' tails, plate) one standard
         deviation less; None where nothing was.
@@ -202,6 +204,7 @@ class BodySurface:
     misfit_mm: float
     level_sd_mm: float
     one_sd: Grey | None = None
+    cuts: tuple[tuple[Array, float], ...] = ()
 
     @property
     def resolution_mm(self) -> float:

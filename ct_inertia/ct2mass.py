@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ct_inertia.bodies import Labelled, MeasuredBody, Moments
+from ct_inertia.bodies import BodySurface, Labelled, MeasuredBody, Moments
 from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.anatomy import AnatomyHints
 from ct_inertia.frames.footplate import FootplateFrame, footplate_frame, pose_near
@@ -272,7 +272,7 @@ def _add_files(inputs: Inputs, role: str, scan: Scan) -> None:
 def _footplate(work: _Work, surface: Surface, moments: Moments) -> FootplateFrame:
     """Find the footplate; a body that cannot be a stapes is refused unless somebody named it."""
     named = work.measured is None or work.measured.labelled.named
-    body = None if work.measured is None else work.measured.surface
+    body = None if work.measured is None else _with_cuts(work.measured)
     try:
         footplate = footplate_frame(surface, work.hints, body)
     except StapeskitError:
@@ -291,6 +291,14 @@ def _footplate(work: _Work, surface: Surface, moments: Moments) -> FootplateFram
         other = contour(body.one_sd, body.scan_from_index)
         footplate = footplate.with_other_surface(pose_near(other, footplate, body))
     return footplate
+
+
+def _with_cuts(measured: MeasuredBody) -> BodySurface:
+    """Return the surface of the stapes, and where the border of the scan cuts it."""
+    from ct_inertia.grey.border import border_contacts
+
+    contacts = border_contacts(measured.labelled.stapes, measured.labelled.box)
+    return replace(measured.surface, cuts=tuple((one.centre_mm, one.area_mm2) for one in contacts))
 
 
 def _plate_frame(work: _Work, moments: Moments) -> PlateFrame | None:

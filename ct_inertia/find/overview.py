@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.find.levels import material_levels
@@ -27,6 +28,9 @@ _LEAST_BOX = 4  # sides in coarse voxels of a box of one value, which noise neve
 _EDGE_VOXELS = 8  # edge of padding that was smoothed or resampled with the picture
 _AIR_BEHIND = 0.8  # share of air behind it; behind the edges of bodies it is bone and plastic
 _AS_AIR = 3.0  # deviations of noise from the level of air within which a constant is air
+_PILED, _BESIDE = 5.0, 3  # a value is piled up by so many times the mean of so many next ones on either side
+_NEAR, _TAIL = 0.01, 0.1  # of the contrast, from a constant: the last and the whole of what fades into it
+_FADING, _CLIPPED = 0.2, 0.03  # voxels near it over those in its tail: 0.5 where blur fades, 0.1 at random
 _LOUD = calibrated("overview.loud_noise")
 
 
@@ -162,14 +166,16 @@ def noise_of(grey: Grey) -> float:
 
 
 def _is_padding(grey: Grey, value: float, outside: Mask, levels: Array, near: float) -> bool:
-    """Return whether a constant is no material: it is not the level of air, and ends at materials.
+    """Return whether a constant is no material: it is not air, and ends at materials.
 
     Air that the export has clipped, or that has no noise, is a constant too. It ends at the blurred edges of
     bodies, or fades into them. So does padding that was smoothed or resampled with the picture: behind its
     edge lies air nearly everywhere, and bodies where a constant is air.
     """
     if abs(value - levels[0]) < near:
-        return False
+        dark = grey[grey < 0.5 * (levels[0] + levels[-1])]
+        values, counts = np.unique(dark, return_counts=True)
+        return is_set(values, counts, int(np.searchsorted(values, value)), float(levels[-1] - levels[0]))
     around = grey[grown(outside) & ~outside][:, None]
     at_material = np.min(np.abs(around - levels.astype(np.float32)), axis=1) < near
     at_itself = np.abs(around[:, 0] - np.float32(value)) < near
@@ -182,6 +188,22 @@ def _is_padding(grey: Grey, value: float, outside: Mask, levels: Array, near: fl
     values = np.array([*levels, value], dtype=np.float32)
     nearest = np.argmin(np.abs(behind[:, None] - values), axis=1)  # noise that was smoothed has no known size
     return bool(np.mean(nearest == 0) > _AIR_BEHIND) if behind.size else False
+
+
+def is_set(values: Array, counts: NDArray[np.int64], place: int, contrast: float) -> bool:
+    """Return whether one of the grey values (n,) of air, with their counts, was set and not measured.
+
+    Air with noise has no value that stands out of its neighbours. One that does is clipped where it is the
+    lowest and others lie next to it, and without noise where edges fade into it.
+    """
+    if values.size < 2 * _BESIDE + 1:
+        return False
+    beside = np.delete(counts[max(0, place - _BESIDE) : place + _BESIDE + 1], min(place, _BESIDE))
+    away = np.abs(values - values[place])
+    near = max(_NEAR * contrast, 1.5 * float(np.diff(values).min()))
+    at_it, in_tail = (int(counts[(away > 0.0) & (away < end)].sum()) for end in (near, _TAIL * contrast))
+    natural = at_it > (_CLIPPED if place == 0 else _FADING) * (in_tail - at_it)
+    return bool(counts[place] > _PILED * beside.mean() and not natural)
 
 
 def _constants(grey: Grey) -> Iterator[tuple[float, Mask]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ct_inertia.bodies import Box, Mask
 from ct_inertia.find.levels import material_levels, readings
-from ct_inertia.find.overview import Overview
+from ct_inertia.find.overview import Overview, is_set
 from ct_inertia.find.pieces import USUAL, Piece, label_pieces, size_score
 from ct_inertia.voxels.masks import grown
 from stapeskit.arrays import Array
@@ -24,9 +24,6 @@ _UNITS = {1e-3: "micrometres", 10.0: "centimetres", 25.4: "inches", 1e3: "metres
 
 _COLLAR_VOXELS, _MOST_UNMEASURED = 4, 0.5  # around the stapes: its blur, of which half must be measured
 _LEAST_SET = 0.05  # share of the air of a box that has one value, which somebody has set
-_PILED, _BESIDE = 5.0, 3  # a value is piled up by so many times the mean of so many next ones on either side
-_NEAR, _TAIL = 0.01, 0.1  # of the contrast, from a constant: the last and the whole of what fades into it
-_FADING, _CLIPPED = 0.2, 0.03  # voxels near it over those in its tail: 0.5 where blur fades, 0.1 at random
 
 
 def no_stapes(overview: Overview, tried: Sequence[Piece]) -> StapeskitError:
@@ -168,8 +165,7 @@ def check_background(box: Box, stapes: Mask, bodies: Mask, air: float, bone: flo
 
     Notes
     -----
-    Air with noise has no value that stands out of its neighbours. One that does is clipped where it is the
-    lowest and others lie next to it, and without noise where edges fade into it; else it was set.
+    See `is_set`.
     """
     collar = stapes
     for _ in range(_COLLAR_VOXELS):
@@ -193,16 +189,9 @@ def check_background(box: Box, stapes: Mask, bodies: Mask, air: float, bone: flo
 
 
 def _set_value(dark: Array, contrast: float) -> tuple[float, float]:
-    """Return the commonest of dark values (n,) and its share; 0 where noise, blur or clipping explain it."""
+    """Return the commonest of dark grey values (n,) and its share; 0 where it was not set."""
     values, counts = np.unique(dark, return_counts=True)
-    if values.size < 2 * _BESIDE + 1:
-        return 0.0, 0.0
-    most = int(np.argmax(counts))
-    beside = np.delete(counts[max(0, most - _BESIDE) : most + _BESIDE + 1], min(most, _BESIDE))
-    away = np.abs(dark - values[most])
-    near = max(_NEAR * contrast, 1.5 * float(np.diff(values).min()))
-    at_it, in_tail = (np.count_nonzero((away > 0.0) & (away < end)) for end in (near, _TAIL * contrast))
-    natural = at_it > (_CLIPPED if most == 0 else _FADING) * (in_tail - at_it)
-    if natural or counts[most] < _PILED * beside.mean():
+    most = int(np.argmax(counts)) if values.size else 0
+    if values.size == 0 or not is_set(values, counts, most, contrast):
         return 0.0, 0.0
     return float(values[most]), float(counts[most] / dark.size)

@@ -33,6 +33,7 @@ _ALL_OF_BLUR = 0.5  # of its variance times the curvature of an edge: the shift 
 _EDGE_LEFT = calibrated("footplate.edge_left")
 _LONG_AXIS_LEFT_RAD = calibrated("footplate.long_axis_left_rad")
 _HEIGHT_LEFT_MM = calibrated("footplate.height_left_mm")
+_CUT_RADII = 1.5  # of a cut as a disc: it is longer than it is wide
 _MESH_BLUR = 1.2  # triangles: of a scan whose surface somebody cut at half level, as scanners have it
 _MOST_TRIANGLE_MM = 0.04  # larger ones are of a mesh that was thinned, not of a coarser scan
 _MOST_WANTING = 4.0  # steps of diffusion beyond which a resolution is no small error
@@ -69,6 +70,8 @@ def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Arra
         parts["levels"] = np.diag(np.square([0.0, 1e-3 * body.level_sd_mm, 0.0, 0.0, 0.0, 0.0]))
         if body.misfit_sd_mm.any():
             parts["misfit"] = influence.misfit(body)
+        if body.cuts:
+            parts["border"] = np.sum([influence.cut(*cut) for cut in body.cuts], axis=0)
     across = np.einsum("si,ij,sj->s", influence.outward, spread, influence.outward)
     curvature = np.minimum(influence.curvature, 1.0 / np.sqrt(across))
     even = float(np.linalg.eigvalsh(spread)[0])
@@ -191,6 +194,22 @@ class Influence:
         at_rim = body.misfit_at(self.middles)
         slopes = float(np.sqrt(np.pi)) / body.misfit_mm * at_rim**2
         return _to_si(inside.T @ inside) + self._rim(slopes / self.curvature**2) + self.sectors(at_rim)
+
+    def cut(self, centre_mm: Array, area_mm2: float) -> Array:
+        """Return the covariance (6, 6), SI, by a cut of the border: a rounded end as wide is missing there.
+
+        What of the face and its rim lies near the cut is wrong by its radius, and tilts with it.
+        """
+        radius = float(np.sqrt(area_mm2 / np.pi))
+        face, rim = (
+            np.linalg.norm(points - centre_mm, axis=1) < _CUT_RADII * radius
+            for points in (self.points, self.middles)
+        )
+        step = radius * (self.lengths[rim] @ self.rims[rim] + self.areas[face] @ self.heights[face])
+        covariance = np.outer(step, step)
+        tilt = radius * float(self.areas[face].sum() / self.areas.sum()) / self.extent[[2, 0]]
+        covariance[[3, 5], [3, 5]] += tilt**2
+        return _to_si(covariance)
 
 
 def _to_si(covariance: Array) -> Array:

@@ -32,8 +32,8 @@ def unstated_coat(parts: StapesParts, moments: Moments) -> Grey | None:
     Notes
     -----
     The logarithm of the ratio of likelihoods is half the difference of the sums of squares on the stapes'
-    side over the variance of the noise, times the voxels per independent one. A fluid lies on one side: no
-    eighth of the space around may speak clearly against a coat.
+    side over the variance of the noise, times the voxels per independent one. A fluid lies on one side: the
+    eighths of the space around that speak against a coat must weigh less than half of those for it.
     """
     fit, begin = parts.fit, parts.fit.start
     coated = fit_scene(begin, Media.around(begin, USUAL_COAT), fit.storing)
@@ -43,7 +43,8 @@ def unstated_coat(parts: StapesParts, moments: Moments) -> Grey | None:
         float(better[part].sum(dtype=float)) / unit
         for part in octants(better.shape, parts.transform, moments)
     ]
-    if min(gains) < -_CLEARLY or sum(gains) < _CLEARLY:
+    against = -sum(gain for gain in gains if gain < 0.0)
+    if sum(gains) < max(_CLEARLY, against):
         return None
     return parts.integrand - StapesParts.of(coated).integrand
 

@@ -57,8 +57,8 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
     left = misfits(fit, parts.residual, labelled.box.voxel_mm3, moments)
     odd = any(one.stands_out for one in left)
     # A coat leaves grey values beyond the edge of the bone: only then is it worth a second fit.
-    brighter = any(one.place == "collar" and one.share > 0.0 for one in left)
-    unstated = unstated_coat(parts, moments) if odd and brighter and coat is None else None
+    brighter = any(one.place == "collar" and one.may_be_soft for one in left)
+    unstated = unstated_coat(parts, moments) if brighter and coat is None else None
     bend, gain = grey_scale_bend(fit), gain_over_body(fit, parts.residual, parts.level.contrast)
     moments, around = with_sources(moments, parts, amounts_of(parts, odd, unstated, bend, gain))
     through = bone_border(labelled, begin, parts.own, (begin.air, begin.air + parts.level.contrast), moments)

@@ -22,6 +22,7 @@ _CELL_VOXELS = 8
 _LEAST_VOXELS, _LEAST_CELL = 100, 12
 _LEAST_SHARE = calibrated("misfit.least_share")
 _MIN_Z, _MIN_CHI2 = 7.0, 35.0
+_SUSPECT_Z = 4.0  # a second fit then decides: 1 in 30 000 whole scans by chance
 _BROKEN = 3.0  # mean square of a slice over the median: 1.25 at most in whole scans, 5 where one has gone
 _LEAST_BROKEN = 0.04**2  # of that mean square: what a sharp picture without noise leaves is less
 _DEEP = 0.9  # share of bone from which a voxel shows its level
@@ -64,6 +65,11 @@ class PlaceMisfit:
     def stands_out(self) -> bool:
         """Whether it is more than noise, and large enough to be named."""
         return abs(self.share) > self.least and (self.z > _MIN_Z or self.chi2 > _MIN_CHI2)
+
+    @property
+    def may_be_soft(self) -> bool:
+        """Whether it is bright enough that another model is worth a fit."""
+        return self.share > self.least and self.z > _SUSPECT_Z
 
     def __str__(self) -> str:
         return f"{PLACES[self.place]}: {100.0 * self.share:+.2f} % of the volume"
@@ -191,7 +197,7 @@ def misfit_notice(
     ``coat``: what a soft coat that nobody stated would take off, as a share of the volume, where it fits;
     ``bend``: of the grey scale, by its noise; ``gain``: departure of the level of bone, place by place.
     """
-    standing = [str(one) for one in found if one.stands_out]
+    standing = [str(one) for one in found if one.stands_out or (coat and one.may_be_soft)]
     if bend:
         standing.append(f"a noise in air that is {(1.0 + bend) / (1.0 - bend):.2f} times that in bone")
     if gain is not None:

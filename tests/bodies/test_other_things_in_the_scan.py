@@ -10,6 +10,7 @@ from scipy.ndimage import binary_dilation
 from ct_inertia.api import ct2mass
 from ct_inertia.find.choose import Search
 from ct_inertia.find.find import find_stapes
+from ct_inertia.find.overview import look_at
 from ct_inertia.frames.anatomy import AnatomyHints
 from ct_inertia.frames.footplate import footplate_frame
 from ct_inertia.frames.plate_frame import plate_frame
@@ -21,6 +22,7 @@ from simulate.scanner import Scan as Scanner
 from simulate.scanner import render
 from simulate.solids import box, ellipsoid, ring
 from stapeskit.faults import StapeskitError
+from stapeskit.frames import RigidTransform
 from stapeskit.registration import displacement
 from tests.bodies.body_scenes import true_moments
 
@@ -141,3 +143,29 @@ def test_slices_three_times_coarser_than_pixels_are_in_the_uncertainty_of_the_po
     frame = footplate_frame(contour(body.field, body.scan_from_index), hints, body)
     step = displacement(placed.scan_from_footplate, frame.scan_from_footplate)
     assert np.abs(step / np.sqrt(np.diag(frame.covariance))).max() < 4.0
+
+
+@pytest.mark.parametrize("planes", [2, 8])
+def test_a_footplate_that_the_border_cuts_is_in_the_uncertainty_of_the_pose(planes, tmp_path):
+    """Its cut is a plane face: the pose was stated to micrometres and was wrong by up to 200 times that."""
+    scanner = Scanner(voxel_um=40.0, noise=0.03, tilt_deg=10.0)
+    placed = scanner.placed(Ear(bone=False, plate=False))
+    grey, pose = render(placed, scanner), placed.scan_from_footplate
+    first = int(np.argwhere(grey > 19_000)[:, 0].min()) + planes
+    tifffile.imwrite(tmp_path / "a.tif", grey[first:], photometric="minisblack")
+    options = {"density": (1900, 10), "anterior": pose.rotation[:, 0].tolist()}
+    found = ct2mass(tmp_path / "a.tif", spacing=placed.voxel_mm.tolist(), **options)
+    moved = pose.translation_mm - np.array([0.0, 0.0, first * placed.voxel_mm[2]])
+    true = RigidTransform.from_parts(pose.rotation, moved, "scan", "footplate")
+    step = displacement(true, found.footplate.scan_from_footplate)
+    assert np.abs(step / np.sqrt(np.diag(found.footplate.covariance))).max() < 4.0
+    assert "border" in found.footplate.contributions
+
+
+@pytest.mark.parametrize("value", [6_500, 7_000, 9_000])
+def test_padding_within_the_noise_of_air_is_not_measured_either(value):
+    scanner = Scanner(voxel_um=40.0, noise=0.03, tilt_deg=10.0, round_field=True, padding=value)
+    placed = scanner.placed(Ear(plate=False))
+    overview = look_at(Scan.from_array(render(placed, scanner), placed.voxel_mm))
+    assert overview.padding == value
+    assert abs(overview.levels[0] - 8_000.0) < 0.01 * 22_000.0
