@@ -66,7 +66,6 @@ def write_crop(
 
     Parameters
     ----------
-    path : Path
     slabs : iterable of ndarray, [z, y, x]
         Layers one behind the other.
     shape : sequence of 3 int
@@ -108,8 +107,6 @@ def write_labels(path: Path, labelled: Labelled, scan: Scan) -> None:
 
     Parameters
     ----------
-    path : Path
-    labelled : Labelled
     scan : Scan
         Its voxels are those of the file, which ends where labels do.
     """

@@ -39,8 +39,6 @@ def outputs_of(
     ----------
     options : MassOptions
         They name the inputs.
-    folder : Path
-    report : bool
     exports : sequence of str
         Formats of `EXPORTS`.
     force : bool
@@ -68,11 +66,8 @@ def write_files(
 
     Parameters
     ----------
-    result : MassResult
-    stage : Path
     report : bool
         Whether report.html is written.
-    labels_name : str
     exports : sequence of str
         Formats of `EXPORTS`.
     """

@@ -42,7 +42,6 @@ def read_box(
 
     Parameters
     ----------
-    scan : Scan
     low, high : ndarray of int, (3,)
         First voxel x, y, z of what shall be in the box, and one past its last.
     most_mm : float

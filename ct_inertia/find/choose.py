@@ -38,7 +38,6 @@ class Candidate:
 
     Attributes
     ----------
-    reading : Reading
     whole : Piece
         The piece of the first look that is the body or holds it.
     others : tuple of Piece

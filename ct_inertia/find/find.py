@@ -32,8 +32,6 @@ def find_stapes(
 
     Parameters
     ----------
-    scan : Scan
-    search : Search, optional
     progress : callable, optional
         Called with a few words at the beginning of each stage.
 

@@ -45,10 +45,8 @@ class Piece:
         Its number in ``labels``.
     labels : ndarray of int, [z, y, x]
         All pieces of the picture or of a split.
-    grid : Grid
     box : tuple of 3 slice
         Where it lies, z, y, x.
-    volume_mm3 : float
     extents_mm : ndarray, (3,)
         Along its principal axes, longest first.
     centre_mm : ndarray, (3,)

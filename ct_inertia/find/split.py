@@ -83,10 +83,6 @@ def splits(
 
     Parameters
     ----------
-    scan : Scan
-    overview : Overview
-    whole : Piece
-    reading : Reading
     around_mm : ndarray, (3,), optional
         A point in scan coordinates: only what lies within 4 mm of it is looked at.
 

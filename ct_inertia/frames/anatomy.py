@@ -77,7 +77,6 @@ def orient_long_axis(
 
     Parameters
     ----------
-    hints : AnatomyHints
     origin_mm : ndarray, (3,)
         Footplate centre, scan coordinates.
     x_axis, y_axis : ndarray, (3,)

@@ -49,7 +49,6 @@ class FootplateFrame:
         Extent of the outline along x and z, and of the body along y.
     anterior_from : str
         What decided the sign of x.
-    notices : tuple of Notice
     """
 
     scan_from_footplate: RigidTransform
@@ -81,7 +80,6 @@ def footplate_frame(
 
     Parameters
     ----------
-    surface : Surface
     hints : AnatomyHints, optional
         Where anterior is; without them the sign of x is arbitrary but fixed, and a notice says so.
     body : BodySurface, optional

@@ -47,7 +47,6 @@ class Region:
         Its vertices about ``middle``, corrected for a blur that is left in the surface.
     normals : ndarray, (n, 3)
         Unit normals on the scale of the definition.
-    diffusion : Diffusion
     across : ndarray, (m, 3), or None
         Directions in which the area of its triangles counts, averaged over their neighbours: noise makes a
         surface rough, not large. None: a mesh without noise.
@@ -86,8 +85,6 @@ class Solved:
 
     Attributes
     ----------
-    region : Region
-    face : Face
     axes : ndarray, (3, 3)
         x, y, z in columns, scan axes.
     elongation : float
@@ -114,7 +111,6 @@ def solve_at(surface: Surface, outward: Array, extent_mm: float, body: BodySurfa
 
     Parameters
     ----------
-    surface : Surface
     outward : ndarray, (3,)
         About -y, unit.
     extent_mm : float

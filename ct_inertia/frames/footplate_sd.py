@@ -44,7 +44,6 @@ def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Arra
 
     Parameters
     ----------
-    solved : Solved
     body : BodySurface or None
         How its surface errs; None: a mesh of which nothing is known but its triangles.
 
@@ -88,10 +87,6 @@ def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Arra
 
 class Influence:
     """What small errors of a surface do to the frame found on it, to first order.
-
-    Parameters
-    ----------
-    solved : Solved
 
     Attributes
     ----------

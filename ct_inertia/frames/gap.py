@@ -67,7 +67,6 @@ def window_gap(
 
     Parameters
     ----------
-    footplate : FootplateFrame
     surface, wall : Surface
         Of the stapes and of other bone, scan coordinates.
     resolution_mm : float

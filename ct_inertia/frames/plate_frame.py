@@ -52,7 +52,6 @@ class PlateFrame:
         The field of view ends the face on at least one side.
     source : str
         ``faces`` or ``fiducials``.
-    notices : tuple of Notice
     """
 
     scan_from_plate: RigidTransform
@@ -84,7 +83,6 @@ def plate_frame(faces: Sequence[PlaneFace], stapes_mm: Array, level_sd_mm: float
 
     Parameters
     ----------
-    faces : sequence of PlaneFace
     stapes_mm : ndarray, (3,)
         A point in the middle of the stapes, scan coordinates.
     level_sd_mm : float

@@ -30,7 +30,6 @@ class Calibration:
     ----------
     slope_kg_m3 : float
         Per grey value.
-    intercept_kg_m3 : float
     sd_kg_m3 : float or None
         Standard deviation of a density read off the line; None when not given.
     """
@@ -123,7 +122,6 @@ def from_calibration(
         Of the bone's shape, every part of it counted alike.
     air, bone : float
         Grey levels.
-    line : Calibration
 
     Raises
     ------

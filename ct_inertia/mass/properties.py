@@ -127,7 +127,6 @@ class MassProperties:
 
         Parameters
         ----------
-        scan_from_footplate : RigidTransform
         frame_covariance : ndarray, (6, 6)
             Of the footplate frame's displacement in its own axes, m and rad.
         voxel_size_sd : float, optional
@@ -155,8 +154,6 @@ def from_density(moments: Moments, density_kg_m3: float, sd_kg_m3: float | None)
 
     Parameters
     ----------
-    moments : Moments
-    density_kg_m3 : float
     sd_kg_m3 : float or None
         None: the density is taken as exact and adds nothing to the budget.
     """
@@ -175,7 +172,6 @@ def from_mass(moments: Moments, mass_kg: float, sd_kg: float | None) -> MassProp
 
     Parameters
     ----------
-    moments : Moments
     mass_kg : float
         Of the bone alone, from a balance.
     sd_kg : float or None

@@ -35,12 +35,10 @@ class Published:
     ----------
     quantity : str
         Key of mass.json's ``found``, or ``volume_mm3``, ``mass_mg``, ``density_kg_m3``.
-    mean : float
     sd : float or None
         None where it gives none.
     n : int
         Number of stapedes; 0 when not known here.
-    reference : str
     """
 
     quantity: str

@@ -56,7 +56,6 @@ class MassByWay:
     ----------
     way : str
         One of `WAYS`.
-    body : MassProperties
     matrix : MassMatrix
         About the footplate centre in footplate axes.
     """
@@ -96,7 +95,6 @@ def masses_by_way(
         Of the grey values, or of the closed surface where there are none.
     density, mass_mg : WithSd or None
         kg/m3 and mg. Where nothing is given a density is assumed.
-    calibration : Calibration or None
     measured : MeasuredBody or None
         With the grey values that a calibration needs.
 

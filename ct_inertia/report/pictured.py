@@ -60,8 +60,6 @@ class Pictured:
 
     Attributes
     ----------
-    stapes : Surface
-    plate : Surface or None
     slices : Slices or None
         None for a mesh, or where the scan is not at hand.
     """

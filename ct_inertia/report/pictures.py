@@ -113,9 +113,6 @@ def _plane(
 
     Parameters
     ----------
-    axes : Axes
-    slices : Slices
-    stapes : Surface
     frame : RigidTransform
         From the axes that the plane is given in to the scan.
     plane : (int, int, int, float)

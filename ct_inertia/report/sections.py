@@ -41,7 +41,6 @@ def mass_page(content: Content, pictured: Pictured) -> page.Page:
     ----------
     content : mapping
         Of mass.json.
-    pictured : Pictured
     """
     source = next(iter(content["provenance"]["inputs"].values()))["file"]
     lead = "A stapes from micro-CT: volume, frames and generalized mass matrix about the footplate centre."

@@ -30,7 +30,6 @@ class Stream:
 
     Attributes
     ----------
-    file : Path
     start : int
         Byte at which they begin, or the packed stream that holds them.
     skip : int
