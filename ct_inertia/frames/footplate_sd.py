@@ -34,9 +34,7 @@ _EDGE_LEFT = calibrated("footplate.edge_left")
 _LONG_AXIS_LEFT_RAD = calibrated("footplate.long_axis_left_rad")
 _HEIGHT_LEFT_MM = calibrated("footplate.height_left_mm")
 _CUT_RADII = 1.5  # of a cut as a disc: it is longer than it is wide
-_MESH_BLUR = 1.2  # triangles: of a scan whose surface somebody cut at half level, as scanners have it
-_MOST_TRIANGLE_MM = 0.04  # larger ones are of a mesh that was thinned, not of a coarser scan
-_MOST_WANTING = 4.0  # steps of diffusion beyond which a resolution is no small error
+_MESH_BLUR = calibrated("footplate.mesh_blur")
 
 
 def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Array]:
@@ -60,7 +58,7 @@ def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Arra
     known = 0.0 if body is None else body.noise_mm4
     parts = {"noise": influence.noise(max(shown_noise(solved), known))}
     if body is None:
-        blur = _MESH_BLUR * min(region.edge_mm, _MOST_TRIANGLE_MM)
+        blur = _MESH_BLUR * min(region.edge_mm, EDGE_MM)  # larger triangles are of a mesh that was thinned
         spread, left = blur**2 * np.eye(3), _ALL_OF_BLUR
         trial = _displacement(solved, solve(region.sharpened(blur), y_axis))
         parts["blur"] = np.outer(trial, trial)
@@ -79,7 +77,7 @@ def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Arra
     parts["edges"][4, 4] += (_LONG_AXIS_LEFT_RAD * influence.roundness) ** 2
     parts["edges"][[3, 5], [3, 5]] += (_HEIGHT_LEFT_MM / influence.extent[[2, 0]]) ** 2
     smoother = solve(region, y_axis, unit(region.diffusion.step(region.normals)))
-    wanting = min(2.0 * float(np.trace(spread)) / 3.0 / NORMAL_SCALE_MM**2, _MOST_WANTING)
+    wanting = 2.0 * float(np.trace(spread)) / 3.0 / NORMAL_SCALE_MM**2
     shape = wanting * _displacement(solved, smoother)
     parts["resolution"] = np.outer(shape, shape)
     return parts

@@ -29,7 +29,7 @@ from stapeskit.faults import StapeskitError
 
 _DAMAGE = ("invalid", "truncat", "corrupt", "failed to", "unexpected", "does not match", "missing data")
 _EVEN_STEPS = 1e-3  # relative range of plane distances that is rounding
-_OTHER_STEPS = 0.3  # relative difference of a plane distance that no stage makes: left out, or turned round
+_OTHER_STEPS = 0.5  # relative difference of a plane distance: half way to a plane left out, or turned round
 
 
 def open_tiff(path: Path) -> Stored:
