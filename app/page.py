@@ -37,7 +37,7 @@ with app.setup:
     get_results, set_results = mo.state(0)
     get_busy, set_busy = mo.state(False)
     get_point, set_point = mo.state(None)
-    get_said, set_said = mo.state(("", "Choose a scan, or a study to go on with."))
+    get_said, set_said = mo.state(("", tables.status("Choose a scan, or a study to go on with.")))
 
     def up(*setters):
         """Show anew what depends on these states."""
@@ -47,15 +47,15 @@ with app.setup:
     def attempt(action, *setters):
         """Do what a control asks for; what is wrong is shown in the library's own words."""
         try:
-            said = ("", action() or "")
+            kind, text = "", action()
             up(*setters)
         except Exception as error:
-            text = fault_sentence(error)
+            kind, text = "danger", fault_sentence(error)
             if text is None:
                 traceback.print_exc(file=sys.stderr)
                 text = "stapeskit failed here. This is a bug: please report the lines in the terminal."
-            said = ("danger", text)
-        set_said(lambda before: said if said[1] or before[0] == "danger" else before)
+        said = (kind, tables.status(text or ""))
+        set_said(lambda before: said if text or before[0] == "danger" else before)
 
     def button(label, action, *setters, **more):
         """Make a button; what it does may fail."""
@@ -298,6 +298,8 @@ def layout_results(other):
     if other.value:
         attempt(compared)
     if _report is not None:
+        if session.report_is_old:
+            _parts.append(mo.Html(page.text("The study has changed since: Look at it, or Fit, again.")))
         if _report != session.study.points:
             _again = f"All results: {_report.parent}. Again: scan2kd {shlex.quote(str(session.study.path))}"
             _curves = tables.curves(session.content("fit").get("responses", ()))
@@ -318,7 +320,7 @@ def progress(tick):
     def status():
         (kind, text), job = get_said(), session.job
         if tick is None or job is None:
-            return kind, text if text.startswith("<") else page.text(text)
+            return kind, text
         if job.running:
             share = "" if job.share is None else f' value="{job.share:.3f}"'
             stop = mo.ui.button(label="Stop", on_click=lambda _: job.stop())
@@ -326,9 +328,9 @@ def progress(tick):
             return "", mo.hstack([bar, stop, mo.Html(f'<div class="clock">{tick}</div>')], justify="start")
         fault = session.finish()
         if fault:
-            set_said(("danger", fault))
+            set_said(("danger", tables.status(fault)))
         else:
-            set_said(("", f"<div>{job.done} {tables.notice_list(job.notices)}</div>"))
+            set_said(("", tables.status(job.done, job.notices)))
             up(set_results, *[set_picture] * (job.step == "found"))
         set_busy(False)
         return "", ""

@@ -197,7 +197,14 @@ class Session:
     def report(self) -> Path | None:
         """The page that a step has written last: of the measurement, or of the whole study."""
         pages = [one for one in (self.study.points, self.study.out / "report.html") if one.is_file()]
-        return max(pages, key=lambda one: one.stat().st_mtime, default=None)
+        return max(pages, key=lambda one: one.stat().st_mtime_ns, default=None)
+
+    @property
+    def report_is_old(self) -> bool:
+        """Whether the study, or what was drawn or marked, has changed since that page was written."""
+        own = [self.study.path, *self.study.kept.glob("*.csv"), *self.study.kept.glob("labels*")]
+        report, times = self.report, [one.stat().st_mtime_ns for one in own if one.is_file()]
+        return report is not None and report.stat().st_mtime_ns < max(times, default=0)
 
     def files(self) -> list[str]:
         """Return the names of the files that can be a measurement, its points or its fiducials."""

@@ -36,12 +36,13 @@ def mark_table(placed: Mapping[str, Sequence[float]]) -> Markup:
     return page.table(("mark", "scan x, y, z, mm"), rows, words=True)
 
 
-def notice_list(notices: Sequence[Notice]) -> Markup | str:
-    """Return warnings, to be unfolded."""
+def status(text: str, notices: Sequence[Notice] = ()) -> Markup:
+    """Return a sentence, in which a file may have any name, with warnings to be unfolded."""
+    shown = page.text(text)
     if not notices:
-        return ""
+        return shown
     plural = "warning" if len(notices) == 1 else "warnings"
-    return page.folded(f"{len(notices)} {plural}", page.notices(notices))
+    return shown + page.folded(f"{len(notices)} {plural}", page.notices(notices))
 
 
 class Curves:

@@ -167,7 +167,9 @@ def test_scan2kd_repeats_the_numbers_of_a_corrected_study_to_the_last_digit(sess
     assert session.choices("study", "confirmed") == (reasons, [])
     assert len(session.content("fit")["responses"]) == 2 * 3 * 24
     left_out = [name for name in session.choices("ldv", "leave_out")[0] if name.count(":") == 2][:1]
+    assert not session.report_is_old
     session.study.put("ldv", leave_out=left_out)
+    assert session.report_is_old
     run(session, "points")
     assert session.choices("ldv", "leave_out")[1] == left_out
 
@@ -223,7 +225,9 @@ def test_warnings_of_one_code_all_come_from_the_child_and_each_once(capsysbinary
     job._process = SimpleNamespace(stdout=capsysbinary.readouterr().out.splitlines())
     job._read()
     assert list(job.notices) == told
-    assert "3 warnings" in tables.notice_list(job.notices)
+    shown = tables.status("<i>.tif opened.", job.notices)
+    assert "3 warnings" in shown
+    assert "<i>" not in shown
 
 
 @pytest.mark.parametrize("damage", ["missing", "cut", "of another mass"])
