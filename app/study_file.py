@@ -12,7 +12,7 @@ import tomlkit
 from ct_inertia.options import MassOptions
 from pipeline.study import TABLES, About, scan_of_ear
 from stapeskit.documents import read_json
-from stapeskit.faults import StapeskitError
+from stapeskit.faults import Fault, StapeskitError, collect_faults, raise_all
 from stapeskit.options import read_toml
 
 SEARCH = ("labels", "threshold", "seed_mm", "box_mm")
@@ -73,12 +73,20 @@ class StudyFile(OwnFile):
 
     @classmethod
     def read(cls, path: Path) -> StudyFile:
-        """Open a study, which must be TOML that holds tables alone."""
+        """Open a study; everything that is wrong with its tables is raised together."""
         study = cls(Path(path).absolute())
         for name, value in read_toml(study.path).items():
             if not isinstance(value, Mapping):
                 raise StapeskitError.of(f"the entry {name}", "in a table of a study", value, study.path.name)
         study.text = study.path.read_text(encoding="utf-8-sig")
+        faults: list[Fault] = []
+        for name, kind in TABLES.items():
+            with collect_faults(faults):
+                if name == "scan" and name in study.tables:
+                    study.mass_options(hand_work=False)
+                elif name in study.tables:
+                    kind.from_study(study.tables[name], study.path.name, study.path.parent)
+        raise_all(faults)
         return study
 
     @classmethod

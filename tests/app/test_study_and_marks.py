@@ -60,6 +60,15 @@ def test_a_value_that_the_command_would_refuse_leaves_the_file_as_it_was(study):
     assert study.get("scan", "density_kg_m3") == "1900+-60"
 
 
+def test_a_study_with_wrong_values_is_refused_with_all_of_them(folder):
+    text = '[scan]\nfile = "scan.nrrd"\nseed_mm = [1.0, 2.0]\nbox_mm = "x"\n[fit]\ndamping = "none"\n'
+    (folder / "study.toml").write_text(text)
+    with pytest.raises(StapeskitError) as raised:
+        StudyFile.read(folder / "study.toml")
+    things = {fault.thing for fault in raised.value.faults}
+    assert things == {"scan.seed_mm", "scan.box_mm", "fit.damping"}
+
+
 def test_comments_and_order_of_a_study_written_by_hand_are_kept(folder):
     other = folder / "study.toml"
     text = '# mine\n[study]\nnotes = "n"  # incus gone\n\n[scan]\n# from May\nfile = "scan.nrrd"\n'
