@@ -60,18 +60,9 @@ class Crossings:
 
 
 def crossings(vertices: Array, faces: NDArray[np.int64], shape: tuple[int, int], samples: int) -> Crossings:
-    """Find where the sub-columns of a grid cross a closed surface.
+    """Find where the sub-columns of a grid (nx, ny), ``samples`` along each side of a voxel, cross a surface.
 
-    Parameters
-    ----------
-    vertices : ndarray, (n, 3)
-        x, y, z in voxels, the centre of voxel 0 at 0.
-    faces : ndarray, (m, 3)
-        Outward triangles.
-    shape : tuple of int
-        (nx, ny) of the grid; parts of the surface outside it are cut off.
-    samples : int
-        Sub-columns along each side of a voxel.
+    Its vertices (n, 3) are in voxels, the centre of voxel 0 at 0; what lies outside the grid is cut off.
     """
     nx, ny = shape
     corners = np.asarray(vertices, dtype=float)[faces]
@@ -165,14 +156,8 @@ def _sample_range(
 def coverage_of(solid: Solid, shape: tuple[int, int, int], voxel_mm: ArrayLike, samples: int = 8) -> Array:
     """Return how much of each voxel (z, y, x) a solid fills, 0 to 1; the centre of voxel 0 is the origin.
 
-    Parameters
-    ----------
-    solid : Solid
-    shape : tuple of int
-        Voxels x, y, z.
-    voxel_mm : array_like, (3,)
-    samples : int
-        Sub-columns along x and y of a voxel; along z the share is exact.
+    Shape and voxels are along x, y, z; ``samples`` are sub-columns along x and y of a voxel; along z
+    the share is exact.
     """
     nx, ny, nz = shape
     grid = crossings(solid.vertices_mm / np.asarray(voxel_mm, dtype=float), solid.faces, (nx, ny), samples)

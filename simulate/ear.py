@@ -114,19 +114,9 @@ class Ear:
 
 @functools.lru_cache(maxsize=128)
 def footplate_outline(solid: Solid, gap_mm: float, least_mm: float = 0.01) -> Array:
-    """Return the outline of the footplate in the oval window, widened on all sides, at its waist too.
+    """Return the outline of the footplate in the oval window, widened by a gap, at its waist too.
 
-    Parameters
-    ----------
-    solid : Solid
-        A stapes in its footplate frame.
-    gap_mm : float
-        Distance from the outline.
-
-    Returns
-    -------
-    ndarray, (192, 2)
-        x and z, mm, at equal angles around the footplate centre; not to be changed.
+    It is (192, 2), x and z, mm, at equal angles around the footplate centre; not to be changed.
     """
     angles = np.linspace(0.0, 2.0 * np.pi, 192, endpoint=False)
     directions = np.column_stack([np.cos(angles), np.sin(angles)])

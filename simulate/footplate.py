@@ -23,21 +23,11 @@ PLANE_SCALE_MM = 0.03
 
 
 def footplate_frame(solid: Solid, depth_mm: float = 0.9, edge_mm: float = 0.04) -> RigidTransform:
-    """Return body_from_footplate of a stapes whose body axes are about those of its footplate.
+    """Return body_from_footplate of a stapes whose y points to the head, and x anterior, within 20 degrees.
 
-    Parameters
-    ----------
-    solid : Solid
-        Its y points from the footplate to the head and its x anterior, each within some 20 degrees.
-    depth_mm : float
-        How much of the body above its lowest point is looked at: all of the footplate, no more than needed.
-    edge_mm : float
-        Longest edge after refinement: below the scale of the diffused normals.
-
-    Notes
-    -----
-    Solved twice: the part that is looked at the second time is cut off square to the footplate itself, so the
-    result turns with the body.
+    ``depth_mm`` above the lowest point are looked at: all of the footplate, no more than needed. No edge is
+    longer than ``edge_mm``, below the scale of the diffused normals. It is solved twice: the part that is
+    looked at the second time is cut off square to the footplate itself, so the result turns with the body.
     """
     first = _solve(solid, depth_mm, edge_mm)
     second = _solve(solid.moved(first.inverse()), depth_mm, edge_mm)

@@ -60,21 +60,16 @@ def motion_of(
 ) -> RigidMotion:
     """Estimate the motion of all bodies about the footplate centre in footplate axes.
 
+    ``shared`` holds ``position.BODY_POINT_AXIS`` where the recording states an sd of positions, and
+    ``registration.DOF``.
+
     Parameters
     ----------
-    recording : Recording
     dof : tuple of str
         Degrees of freedom that are solved for; the others are taken to rest.
     registration_sd : (float, float)
         Standard deviation per axis with which the pose of the footplate is known, m and rad; an error of it
         is drawn by ``seed``. With (0, 0) it is exact and no shared error.
-    seed : int
-
-    Returns
-    -------
-    RigidMotion
-        ``shared`` holds ``position.BODY_POINT_AXIS`` where the recording states a standard deviation of
-        positions, and ``registration.DOF``.
     """
     bodies = tuple(dict.fromkeys(recording.body))
     fits = [_BodyFit(recording, body, dof) for body in bodies]

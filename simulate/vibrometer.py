@@ -125,11 +125,8 @@ def measure_motion(
         Displacement of each body about the footplate centre in footplate axes, m and rad.
     places_mm : mapping of str to ndarray, (P, 3)
         True points of each body, footplate coordinates.
-    experiment : Experiment
-        Its excitations name the runs.
     pose : RigidTransform, optional
         vibrometer_from_footplate; drawn when not given.
-    rng : Generator, optional
     references : (RigidTransform, mapping), optional
         footplate_from_reference, and places of fiducials in that frame, mm.
     """
