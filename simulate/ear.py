@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from simulate.ligament import Ligament
-from simulate.mass import MassProperties, graded_mass, point_mass, uniform_mass
+from simulate.mass import MassProperties, point_mass, uniform_mass
 from simulate.solids import Solid, box, ellipsoid, outward, ring, rod
 from simulate.stapes import Stapes, stapes_solid
 from stapeskit.arrays import Array
@@ -39,9 +39,7 @@ class Ear:
     """One ear."""
 
     stapes: Stapes = field(default_factory=Stapes)
-    # true density halfway up; 1382.4 gives the OpenEar stapes the paper's 3.2 mg
-    density_kg_m3: float = 1382.4
-    density_gradient: float = 0.0  # relative change of it from there to either end; grey values follow it
+    density_kg_m3: float = 1382.4  # the true one; this gives the OpenEar stapes the paper's 3.2 mg
     # relative sd with which the study states the density, drawn around the true one
     density_sd: float = 0.01
     ligament: Ligament = field(default_factory=Ligament)
@@ -73,8 +71,6 @@ class Ear:
 
     def mass(self) -> MassProperties:
         """Return the exact mass properties of the bone in footplate axes."""
-        if self.density_gradient:
-            return graded_mass(self.solid, self.density_kg_m3, self.density_gradient)
         return uniform_mass(self.solid.moments(), self.density_kg_m3)
 
     def moving_mass_si(self) -> Array:

@@ -1,4 +1,4 @@
-"""The exact mass properties of a solid: ten inertial parameters about a point, uniform or graded density."""
+"""The exact mass properties of a solid of uniform density: ten inertial parameters about a point."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from simulate.solids import Moments, Solid
+from simulate.solids import Moments
 from stapeskit.arrays import Array
 from stapeskit.spatial import TENSOR_PLACES, matrix_from_parameters
 
@@ -41,49 +41,6 @@ def uniform_mass(moments: Moments, density_kg_m3: float) -> MassProperties:
         centre_of_mass_mm=moments.centroid_mm,
         inertia_about_com_kg_m2=density_kg_m3 * 1e-15 * (np.trace(second) * np.eye(3) - second),
     )
-
-
-def relative_density(height_mm: Array, ends_mm: tuple[float, float], gradient: float) -> Array:
-    """Return density over the density halfway up, at heights of any shape.
-
-    1 - gradient at the lower end of the body, 1 + gradient at the upper one, straight between, level beyond.
-    """
-    low, high = ends_mm
-    share = np.clip((height_mm - 0.5 * (low + high)) / (0.5 * (high - low)), -1.0, 1.0)
-    return np.asarray(1.0 + gradient * share)
-
-
-def graded_mass(solid: Solid, density_kg_m3: float, gradient: float) -> MassProperties:
-    """Return the mass properties of a body whose density changes with its height y, by a share to either end.
-
-    Notes
-    -----
-    The integrals over the polyhedron are sums over the tetrahedra between its faces and one point, each by a
-    Gauss-Legendre product rule mapped onto it (Duffy 1982, SIAM J. Numer. Anal. 19:1260,
-    doi:10.1137/0719090) with four nodes an axis: exact for the cubic integrands here.
-    """
-    height = solid.vertices_mm[:, 1]
-    points, weights = _quadrature(solid)
-    weights = weights * relative_density(points[:, 1], (float(height.min()), float(height.max())), gradient)
-    total = float(weights.sum())
-    centre = weights @ points / total
-    arm = points - centre
-    second = (weights[:, None] * arm).T @ arm
-    return uniform_mass(Moments(volume_mm3=total, centroid_mm=centre, second_mm5=second), density_kg_m3)
-
-
-def _quadrature(solid: Solid, count: int = 4) -> tuple[Array, Array]:
-    """Return quadrature points (n, 3), mm, and signed weights (n,), mm3, that fill a closed surface."""
-    node, weight = np.polynomial.legendre.leggauss(count)
-    node, weight = 0.5 * (node + 1.0), 0.5 * weight
-    u, v, w = (part.ravel() for part in np.meshgrid(node, node, node, indexing="ij"))
-    rule = np.multiply.outer(np.multiply.outer(weight, weight), weight).ravel() * u**2 * v
-    shares = np.column_stack([u * (1.0 - v), u * v * (1.0 - w), u * v * w])
-    apex = solid.vertices_mm.mean(axis=0)
-    corners = solid.vertices_mm[solid.faces] - apex
-    six_volumes = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    points = np.einsum("qk,fkd->fqd", shares, corners).reshape(-1, 3) + apex
-    return points, (six_volumes[:, None] * rule).ravel()
 
 
 def point_mass(mass_kg: float, place_mm: ArrayLike) -> Array:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from simulate.coverage import crossings
 from simulate.ear import Ear, Placed, place
-from simulate.mass import relative_density
 from simulate.solids import Solid, joined
 from stapeskit.arrays import Array
 from stapeskit.frames import rotation_from_vector
@@ -136,8 +135,6 @@ class Renderer:
                 share *= np.float32(0.5)
             np.minimum(share, free, out=share)
             free -= share
-            if material == "bone" and self.placed.ear.density_gradient:
-                share *= self._relative_density(first, count)
             grey += np.float32(contrasts[material]) * share
         return grey
 
@@ -170,18 +167,6 @@ class Renderer:
         (x0, y0), (x1, y1) = low - self.low[:2], high - self.low[:2]
         grey[start - first : stop - first, low[1] : high[1], low[0] : high[0]] = box[:, y0:y1, x0:x1]
         return grey
-
-    def _relative_density(self, first: int, count: int) -> Floats:
-        """Return density over that halfway up at the voxel centres of the box around the bodies."""
-        pose, ear = self.placed.scan_from_footplate, self.placed.ear
-        height_mm = ear.solid.vertices_mm[:, 1]
-        x, y = (np.arange(self.low[axis], self.high[axis]) for axis in (0, 1))
-        z = np.arange(first, first + count)
-        lateral = pose.rotation[:, 1] * self.placed.voxel_mm
-        start = -pose.rotation[:, 1] @ pose.translation_mm
-        height = (lateral[2] * z + start)[:, None, None] + (lateral[1] * y)[:, None] + lateral[0] * x
-        ends = (float(height_mm.min()), float(height_mm.max()))
-        return relative_density(height, ends, ear.density_gradient).astype(np.float32)
 
     def slices(self, first: int, count: int) -> NDArray[Any]:
         """Return slices as the scanner stores them, noise included."""

@@ -130,7 +130,6 @@ class Truth:
             "voxel_mm": placed.voxel_mm.tolist(),
             "gap_mm": ear.gap_mm,
             "levels": scan.stored_levels(),
-            "gradient": ear.density_gradient,
             "stapes_voxels_noise_free": self.volume_m3 * 1e9 / float(np.prod(placed.voxel_mm)),
             "dof": list(self.dof),
             "stiffness_si": self.stiffness_si.tolist(),
@@ -186,10 +185,6 @@ def simulate_study(
         None: the measurement is left away.
     about, fit : mapping, optional
         Further keys of [study] and [fit].
-
-    Notes
-    -----
-    With a density gradient the scan's calibration.toml lies beside.
     """
     folder.mkdir(parents=True, exist_ok=True)
     scan = scan or Scan(format="")
@@ -214,10 +209,6 @@ def simulate_study(
         if experiment.mirror:
             tables["ldv"] |= {"mirror": experiment.mirror}
     tables["fit"] = {"dof": ",".join(truth.dof), "estimator": "ml", **(fit or {})}
-    if ear.density_gradient:
-        air, _, bone = scan.stored_levels()
-        line = f"points = [[{air:g}, 0], [{bone:g}, {ear.density_kg_m3:g}]]\n"
-        (folder / "calibration.toml").write_text(line, encoding="utf-8")
     study = folder / "study.toml"
     parts = [
         "\n".join([f"[{name}]", *(f"{key} = {toml(value)}" for key, value in table.items())])

@@ -195,7 +195,7 @@ def test_a_bent_grey_scale_is_in_the_budget():
 
 @pytest.mark.parametrize("bend", [0.0, -0.08])
 def test_a_level_that_differs_over_the_body_is_named_and_in_the_budget(bend):
-    """Cupping: the level of bone rises along x and falls to both ends."""
+    """Cupping: the level of bone rises along x and falls to both ends. It may be denser bone as well."""
     ball = Ball(noise=0.02)
     away = (grid_points(ball.shape, ball.spacing) - ball.centre) / ball.radius
     gain = 1.0 + 0.04 * away[..., 0] + bend * away[..., 1] ** 2
@@ -204,6 +204,8 @@ def test_a_level_that_differs_over_the_body_is_named_and_in_the_budget(bend):
     assert abs(found.moments.volume_mm3 - ball.volume) < 4.0 * found.moments.volume_sd_mm3
     centre_sd = np.sqrt(np.diag(found.moments.covariance)[1:4])
     assert np.all(np.abs(found.moments.centroid_mm - ball.centre) < 4.0 * centre_sd)
+    denser = ball.centre + np.array([0.04 * ball.radius / 5.0, 0.0, 0.0])  # of a density 1 + 0.04 x / R
+    assert np.all(np.abs(found.moments.centroid_mm - denser) < 4.0 * centre_sd)
     assert found.surface.one_sd is not None
 
 

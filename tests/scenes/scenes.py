@@ -164,8 +164,6 @@ SCENES: dict[str, Scene] = {
     "round_field_of_view": _ct(
         Scan(voxel_um=32.0, round_field=True, padding=0.0, seed=10), codes=_mass("file_read")
     ),
-    # Grey values do not tell denser bone from cupping.
-    "dense_on_top": _ct(ear=Ear(density_gradient=0.1), codes=_mass("grey_values_misfit")),
     "foreign_stapes": _ct(ear=Ear(stapes=Stapes(family="analytic"))),
     "small_warped_right_ear": _ct(
         ear=Ear(stapes=Stapes(scale=0.85, warp=0.03, mirrored=True, seed=4)),

@@ -7,7 +7,6 @@ import pytest
 
 import simulate
 from simulate import STAPES, Ear, Solid, Stapes, stapes_solid
-from simulate.mass import graded_mass
 from stapeskit.frames import RigidTransform, rotation_from_vector
 from stapeskit.spatial import inertia_faults, matrix_from_parameters, twist_transfer
 
@@ -69,16 +68,6 @@ def test_mass_matrix_follows_the_parallel_axis_and_turns_with_the_body():
     expected = np.linalg.inv(back).T @ body.matrix() @ np.linalg.inv(back)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     assert np.abs((turned - expected) / scale).max() < 1e-12
-
-
-def test_graded_box_has_closed_form_mass():
-    gradient, density, height = 0.3, 1500.0, 2.0
-    body = graded_mass(simulate.box([-0.5, 0.0, -0.5], [0.5, height, 0.5]), density, gradient)
-    assert body.mass_kg == pytest.approx(density * height * 1e-9, rel=1e-13)
-    # centre: integral of s (1 + g s) over s in [-1, 1], halved, is g / 3
-    assert body.centre_of_mass_mm[1] == pytest.approx(1.0 + gradient / 3.0, rel=1e-13)
-    about = density * 1e-15 * height * ((1.0 - gradient**2 / 3.0) / 3.0 + 1.0 / 12.0)
-    assert body.inertia_about_com_kg_m2[0, 0] == pytest.approx(about, rel=1e-12)
 
 
 def test_point_masses_are_added():
