@@ -186,8 +186,7 @@ class Session:
     def surfaces(self) -> dict[str, Array]:
         """Return the surfaces of the study's current mass by name, corners (faces, 3, 3), scan mm."""
         shown = read_shown(mass_folder(self.study))
-        return {name: shown[f"{name}_vertices"][shown[f"{name}_faces"]]
-                for name in ("stapes", "plate") if f"{name}_faces" in shown}  # fmt: skip
+        return {name: shown[name] for name in ("stapes", "plate") if name in shown}
 
     def content(self, name: str) -> dict[str, Any]:
         """Return what a step left for the page, ``measured`` or ``fit``; empty without it."""

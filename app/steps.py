@@ -16,6 +16,7 @@ import traceback
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
@@ -47,20 +48,12 @@ def _warn(notices: Sequence[Notice]) -> None:
     _say(notices=[(notice.code, notice.text) for notice in notices])
 
 
-def found(study: StudyFile) -> None:
-    """Find the stapes and measure its mass, without hand work."""
-    _mass(study, study.found, hand_work=False)
-
-
-def cut(study: StudyFile) -> None:
-    """Measure the mass with the labels that were drawn."""
-    _mass(study, study.cut, hand_work=True)
-
-
-def _mass(study: StudyFile, folder: Path, *, hand_work: bool) -> None:
+def mass(study: StudyFile, *, hand_work: bool) -> None:
+    """Find the stapes and measure its mass, with the labels that were drawn or without."""
     from ct_inertia.ct2mass import measure_mass
     from pipeline.study import in_keys
 
+    folder = study.cut if hand_work else study.found
     options = study.mass_options(hand_work=hand_work)
     with options.as_keys():
         result = measure_mass(options, _tell)
@@ -79,7 +72,7 @@ def _keep_shown(result: MassResult, folder: Path) -> None:
     shown: dict[str, Any] = {"of": sha256(folder / MASS)}
     for name, surface in (("stapes", result.stapes), ("plate", result.plate)):
         if surface is not None:
-            shown |= {f"{name}_vertices": surface.vertices_mm, f"{name}_faces": surface.faces}
+            shown[name] = surface.vertices_mm[surface.faces]
     if (folder / LABELS).is_file():
         labels, grid = open_labels(folder / LABELS)
         shown |= {"labels": labels.astype(np.uint8), "scan_from_index": grid.scan_from_index}
@@ -92,7 +85,7 @@ def _keep_shown(result: MassResult, folder: Path) -> None:
 
 
 def read_shown(folder: Path | None) -> dict[str, Any]:
-    """Return labels, their ``scan_from_index``, vertices and faces of a mass.
+    """Return labels, their ``scan_from_index``, and corners (faces, 3, 3), mm, of ``stapes`` and ``plate``.
 
     Empty where there is none, where they are damaged, or where a killed step left those of an earlier mass.
     """
@@ -115,10 +108,10 @@ def points(study: StudyFile) -> None:
     from stapeskit.records.mass_file import read_mass_json
 
     folder = mass_folder(study)
-    mass = None if folder is None else read_mass_json(folder / MASS)
+    measured = None if folder is None else read_mass_json(folder / MASS)
     options = MotionOptions.from_study(study.tables.get("ldv", {}), study.path.name, study.path.parent)
     with options.as_keys():
-        result = measure_motion(options, mass, _tell)
+        result = measure_motion(options, measured, _tell)
     result = replace(result, motion=replace(result.motion, notices=in_keys(result.notices, type(options))))
     _warn(result.notices)
     result.write(study.points.parent)
@@ -176,8 +169,8 @@ def mass_folder(study: StudyFile) -> Path | None:
 
 
 STEPS: dict[str, tuple[str, Callable[[StudyFile], None]]] = {
-    "found": ("Measuring the stapes", found),
-    "cut": ("Measuring the corrected cut", cut),
+    "found": ("Measuring the stapes", partial(mass, hand_work=False)),
+    "cut": ("Measuring the corrected cut", partial(mass, hand_work=True)),
     "points": ("Looking at the measurement", points),
     "fit": ("Fitting stiffness and damping", fit),
 }

@@ -40,8 +40,6 @@ class Ear:
 
     stapes: Stapes = field(default_factory=Stapes)
     density_kg_m3: float = 1382.4  # the true one; this gives the OpenEar stapes the paper's 3.2 mg
-    # relative sd with which the study states the density, drawn around the true one
-    density_sd: float = 0.01
     ligament: Ligament = field(default_factory=Ligament)
     # point masses on the stapes that the scan does not show
     loose_masses: tuple[tuple[float, float, float, float], ...] = ()

@@ -21,6 +21,7 @@ from stapeskit.frames import rotation_from_vector
 Floats = NDArray[np.float32]
 STORED = {"uint8": (1.0 / 257.0, 0.0), "int16": (1.0, -32768.0), "uint16": (1.0, 0.0), "float32": (1.0, 0.0)}
 """Numbers of a file by type: factor and offset of grey values 0 to 65535."""
+_SLAB_BYTES = 1 << 28  # of floats that are rendered at once
 _TRUNCATE = 5.0  # sigmas of a blur: what is beyond is below a 16 bit step
 _SLICE_OF_SEED = 1 << 20  # seeds of correlated noise lie beyond those of any slice
 
@@ -260,12 +261,12 @@ def add_noise(grey: Floats, first: int, scan: Scan) -> None:
     grey += np.float32(scan.noise) * correlate1d(white, kernel, axis=0, mode="wrap")[reach : reach + count]
 
 
-def render_into(target: Any, placed: Placed, scan: Scan, most_bytes: int = 1 << 28) -> None:
-    """Write all slices into an array (z, y, x), in slabs of at most so many bytes of floats."""
+def render_into(target: Any, placed: Placed, scan: Scan) -> None:
+    """Write all slices into an array (z, y, x), in slabs."""
     renderer = Renderer(placed, scan)
     nx, ny, nz = placed.shape
     built = np.flip(target, axis="zyx".index(scan.mirror)) if scan.mirror else target
-    height = max(1, min(nz, most_bytes // (4 * nx * ny)))
+    height = max(1, min(nz, _SLAB_BYTES // (4 * nx * ny)))
     for first in range(0, nz, height):
         count = min(height, nz - first)
         built[first : first + count] = renderer.slices(first, count)

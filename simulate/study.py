@@ -23,6 +23,8 @@ from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import RigidTransform
 from stapeskit.options import toml
 
+DENSITY_SD = 0.01
+"""Relative sd with which a study states the density, drawn around the true one."""
 _SIMULATED = (
     "the grey values, the bone around it, the plate and all vibrometer data are computed. Nothing here is a "
     "measurement."
@@ -68,8 +70,9 @@ class Truth:
     @property
     def stated_density_kg_m3(self) -> tuple[float, float]:
         """Density that the study states, the true one and a drawn error, and its standard deviation."""
-        draw, sd = np.random.default_rng([self.scan.seed, 11]).standard_normal(), self.ear.density_sd
-        return float(self.ear.density_kg_m3 * (1.0 + sd * draw)), sd * self.ear.density_kg_m3
+        draw = np.random.default_rng([self.scan.seed, 11]).standard_normal()
+        true = self.ear.density_kg_m3
+        return float(true * (1.0 + DENSITY_SD * draw)), DENSITY_SD * true
 
     @property
     def scan_from_footplate(self) -> RigidTransform:
@@ -223,7 +226,7 @@ def _scan_keys(truth: Truth, scan: Scan) -> dict[str, Any]:
     stated, sd = truth.stated_density_kg_m3
     anterior = [round(float(part), 1) for part in truth.scan_from_footplate.rotation[:, 0]]
     keys = {
-        "density_kg_m3": f"{stated:.1f}+-{sd:.1f}" if sd else f"{stated:.1f}",
+        "density_kg_m3": f"{stated:.1f}+-{sd:.1f}",
         "side": truth.ear.side,
         "anterior": anterior,
     }

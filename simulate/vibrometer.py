@@ -15,6 +15,8 @@ from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import RigidTransform, rotation_from_vector
 
 NOISE_COLUMNS = ("sd", "coherence", "n_avg", "none")
+AVERAGES = 16
+"""Of a spectrum, stated with ``coherence`` and ``n_avg``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +44,6 @@ class Experiment:
     noise: float = 0.01
     noise_spread: tuple[float, float] = (0.6, 1.6)
     stated: str = "sd"  # what the file says of the noise, one of NOISE_COLUMNS
-    averages: int = 16  # stated with ``coherence`` and ``n_avg``
     position_sd_mm: float = 0.01  # error with which points and fiducials are known, per coordinate
     fiducial_sd_mm: float = 0.01
     # fiducials are stated as read off the scan; else as in the drawing of the plate, where there is one
@@ -86,7 +87,6 @@ class Recording:
     velocity_m_s: ComplexArray  # (R, C, L): NaN where missing
     sd_m_s: Array  # (R, C, L): True standard deviation of the real (= imaginary) part, but for faults
     stated: str = "sd"  # what the file says of it
-    averages: int = 16
     position_sd_mm: float = 0.0  # 0 for exact data
     fiducial_sd_mm: float = 0.0
     fiducials: tuple[tuple[str, Array, Array], ...] = ()
@@ -106,7 +106,7 @@ class Recording:
     def coherence(self) -> Array:
         """Return g2 (R, C, L) that states the noise: sd = |v| sqrt((1 - g2) / (2 n g2))."""
         relative = self.sd_m_s / np.maximum(np.abs(self.velocity_m_s), 1e-300)
-        return np.asarray(1.0 / (1.0 + 2.0 * self.averages * relative**2))
+        return np.asarray(1.0 / (1.0 + 2.0 * AVERAGES * relative**2))
 
 
 def measure_motion(
@@ -183,7 +183,6 @@ def measure_motion(
         velocity_m_s=_with_gaps(velocity, experiment),
         sd_m_s=sd,
         stated="none" if experiment.exact else experiment.stated,
-        averages=experiment.averages,
         position_sd_mm=wobble,
         fiducial_sd_mm=0.0 if experiment.exact else experiment.fiducial_sd_mm,
         fiducials=tuple((name, seen * flip, place) for name, seen, place in marks),

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from simulate.files import spectra
-from simulate.vibrometer import Recording
+from simulate.vibrometer import AVERAGES, Recording
 from stapeskit.arrays import Array
 
 
@@ -21,22 +21,18 @@ def write_recording(folder: Path, recording: Recording, fmt: str = "csv") -> Pat
     return path
 
 
-def write_tables(folder: Path, recording: Recording) -> Path:
-    """Write ldv.csv and points.csv; return the first."""
+def write_tidy(folder: Path, recording: Recording) -> Path:
+    """Write ldv.csv, one row a run, channel and frequency, missing values empty, and points.csv."""
     write_points(folder / "points.csv", recording)
-    return write_tidy(folder / "ldv.csv", recording)
-
-
-def write_tidy(path: Path, recording: Recording) -> Path:
-    """Write one row a run, channel and frequency; missing values stay empty."""
     runs = recording.runs
     takes = [runs[:k].count(run) + 1 for k, run in enumerate(runs)]
     more_columns = (["run"] if len(runs) > 1 else []) + (["repeat"] if max(takes) > 1 else [])
     digits = ".15g" if recording.stated == "none" and not recording.position_sd_mm else ".7g"
+    averages = np.full(recording.sd_m_s.shape, float(AVERAGES))
     columns = {
         "sd": (["sd_m_s"], [recording.sd_m_s]),
-        "coherence": (["n_avg", "coherence"], [_averages(recording), recording.coherence()]),
-        "n_avg": (["n_avg"], [_averages(recording)]),
+        "coherence": (["n_avg", "coherence"], [averages, recording.coherence()]),
+        "n_avg": (["n_avg"], [averages]),
         "none": ([], []),
     }
     names, values = columns[recording.stated]
@@ -56,11 +52,7 @@ def write_tidy(path: Path, recording: Recording) -> Path:
             for line, value in enumerate(recording.velocity_m_s[run, channel].tolist()):
                 reading = "," if value != value else f"{value.real:{digits}},{value.imag:{digits}}"
                 lines.append(f"{head},{freq[line]},{reading}{''.join(part[line] for part in more)}{tail}")
-    return _write(path, lines)
-
-
-def _averages(recording: Recording) -> Array:
-    return np.full(recording.sd_m_s.shape, float(recording.averages))
+    return _write(folder / "ldv.csv", lines)
 
 
 def write_points(path: Path, recording: Recording) -> Path:
@@ -91,7 +83,7 @@ def _write(path: Path, lines: list[str]) -> Path:
 
 
 WRITERS: dict[str, Callable[[Path, Recording], Path]] = {
-    "csv": write_tables,
+    "csv": write_tidy,
     "wide": spectra.write_wide,
     "uff": spectra.write_uff_binary,
     "fastscan": spectra.write_fastscan,
