@@ -82,7 +82,7 @@ def screen_zeros(body: BodyChannels, runs: tuple[str, ...], dof: tuple[str, ...]
         if np.any(some) and not np.any(np.all(some, axis=1)):
             drop[run] |= some
             texts.append(f"{int(np.sum(some))} single values of body {body.body}{where} are exactly zero")
-        filler = _filler(np.delete(value[run], dead, axis=0))
+        filler = _filler(value[run], dead)
         if filler is not None:
             some = value[run] == filler
             some[dead] = False
@@ -110,9 +110,9 @@ def _silent(value: ComplexArray) -> tuple[list[int], list[int]]:
     return empty, dead
 
 
-def _filler(value: ComplexArray) -> complex | None:
+def _filler(value: ComplexArray, dead: list[int]) -> complex | None:
     """Return the value other than zero that fills gaps, as -9999: it alone is there again and again."""
-    known = value[:, :: max(1, value.size // _SAMPLE)]
+    known = np.delete(value[:, :: max(1, value.size // _SAMPLE)], dead, axis=0)
     found, count = np.unique(known[np.isfinite(known) & (known != 0.0)], return_counts=True)
     order = np.argsort(count)[-2:]
     alone = len(order) == 2 and count[order[1]] >= _LEAST_FILLED * count[order[0]]
