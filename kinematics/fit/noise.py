@@ -22,7 +22,8 @@ FLOOR = 1e-12
 
 _LEAST_LEVEL_DOF = 4.0  # of a level of noise: the mean of 1 over fewer grows beyond 2, for 2 without end
 _LEVEL_ROUNDS = 6  # of channels: with wrong weights, residuals of quiet ones hold the noise of loud ones
-_LEVEL_LINES, _LEVEL_KNOWN = 2000, 0.016  # lines that show the level of a channel, and how well
+_LEVEL_LINES = 2000  # that show the level of a channel, to 1.6 %
+_SETTLED = 0.004  # change of levels that ends the rounds: a quarter of how well they are known
 _ROBUST_ROUNDS = 3  # of level and motion in turn; the second changes the level by less than its own sd
 
 
@@ -96,7 +97,7 @@ def _levels(
     for _ in range(_LEVEL_ROUNDS):  # packed anew: columns without motion depend on the weights
         state, before = State(pack(replace(readings, noise_factor=levels.level))), levels.level
         levels = channel_levels(state, lasers, before)
-        if np.all(np.abs(levels.level - before) < _LEVEL_KNOWN * before):
+        if np.all(np.abs(levels.level - before) < _SETTLED * before):
             break
     return levels
 
