@@ -86,6 +86,9 @@ def _by_textbook(data: Data, model: Model, inertia: Inertia, options: KDOptions)
     best, alike = _likeliest(laws) if laws else (None, ())
     model = model if best is None else best.likelihood.model
     found, bias, active = estimate(data, model, constrained, *bounds)
+    if (wider := alike_lines(found)) > 1.0:  # the bias is that of the noise of single lines
+        widened = replace(data, covariance=wider * data.covariance, widened=wider)
+        found, _, active = estimate(widened, model, constrained, *bounds)
     causes = Search(alternatives=tuple(law_alternative(found, laws[name]) for name in alike))
     return KDFit(
         options, inertia, found, search=causes, laws=laws, laws_alike=alike, active=active, bias=bias

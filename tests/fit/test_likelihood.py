@@ -250,6 +250,10 @@ def test_noise_that_neighbouring_lines_share_is_found_and_widens_the_intervals(s
         smooth = np.apply_along_axis(np.convolve, 2, white, kernel, "valid")
         noise = (root @ (smooth[0] + 1j * smooth[1])[..., None])[..., 0]
         result = fit(replace(exact, q=exact.q + noise[None]), M)
+        if seed == 0:
+            assert "noise_alike" in codes(
+                fit(replace(exact, q=exact.q + noise[None]), M, estimator="constrained")
+            )
         off.append(deviation(result))
         wider.append(result.found.data.widened)
         assert "noise_alike" in codes(result)
