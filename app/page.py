@@ -253,6 +253,20 @@ def show_meshes():
 
 
 @app.cell
+def layout_side(cut_step, fit_step, marks_step, marks_table, measurement_step, scan_step):
+    _steps = {
+        "1 Scan": scan_step,
+        "2 Cut": cut_step,
+        "3 Marks": listed(marks_step, marks_table),
+        "4 Measurement": measurement_step,
+        "5 Fit": fit_step,
+    }
+    _shown = mo.accordion(_steps, multiple=True, expanded=["1 Scan"])
+    mo.Html(f'<div class="steps"><h1>stapeskit</h1>{_shown}</div>')
+    return
+
+
+@app.cell
 def layout_picture():
     mo.vstack([
         mo.ui.radio(VIEWS, value=VIEWS[0], inline=True, on_change=picture.set_view),
@@ -265,20 +279,6 @@ def layout_picture():
 def layout_point():
     _at = get_point()
     mo.md("click in a slice" if _at is None else f"scan {_at[0]:.3f}, {_at[1]:.3f}, {_at[2]:.3f} mm")
-    return
-
-
-@app.cell
-def layout_side(cut_step, fit_step, marks_step, marks_table, measurement_step, scan_step):
-    _steps = {
-        "1 Scan": scan_step,
-        "2 Cut": cut_step,
-        "3 Marks": listed(marks_step, marks_table),
-        "4 Measurement": measurement_step,
-        "5 Fit": fit_step,
-    }
-    _shown = mo.accordion(_steps, multiple=True, expanded=["1 Scan"])
-    mo.Html(f'<div class="steps"><h1>stapeskit</h1>{_shown}</div>')
     return
 
 
