@@ -26,7 +26,8 @@ _NUMBERS = {
     "sd_mm": (NEAREST_MM, FARTHEST_MM, "Give the standard deviation per coordinate in mm"),
     "sensitivity": (1.0 / LARGEST, LARGEST, "Give the factor from the numbers of the file to unit"),
 }
-"""Columns of numbers, with their range and what to do about others; all other columns are texts."""
+"""Columns of numbers with their range, and what to do about others."""
+_TEXTS = ("body", "point", "name", "frame", "channel", "role", "dir", "unit", "run", "file")
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,9 @@ class Points:
         return alike[0] if len(alike) == 1 else None
 
 
-def read_named(path: Path, needed: Sequence[str], optional: Sequence[str]) -> tuple[Table, list[Fault]]:
+def read_named(
+    path: Path, needed: Sequence[str], optional: Sequence[str], texts: Sequence[str] = _TEXTS
+) -> tuple[Table, list[Fault]]:
     """Read columns of a table by their names, and list the numbers that cannot be; needed ones must be there.
 
     Raises
@@ -66,7 +69,7 @@ def read_named(path: Path, needed: Sequence[str], optional: Sequence[str]) -> tu
             got, where = f"no column {', '.join(missing)}", Place(file, "line", (1,))
             raise StapeskitError.of("the table", "complete", got, where, step)
         used = {*needed, *optional} & set(header)
-        return used & set(_NUMBERS), used - set(_NUMBERS)
+        return used - set(texts), used & set(texts)
 
     table = read_table(Path(path), choose)
     faults = list(table.faults)

@@ -28,7 +28,7 @@ from kinematics.readers.tree import read_tree
 from kinematics.readers.units import SI_UNITS, MotionUnit, is_none, motion_unit, plain
 from kinematics.signals.frf import periodic_frf, welch_frf
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, Place, StapeskitError, collect_faults, list_some, raise_all
+from stapeskit.faults import Fault, StapeskitError, collect_faults, list_some, raise_all
 from stapeskit.units import HIGHEST_HZ, LARGEST
 from stapeskit.warnings import Notice
 
@@ -221,18 +221,8 @@ def _arrays(path: Path, names: Sequence[str]) -> Mapping[str, Any]:
             return {name: archive[name] for name in archive.files}
     if head.startswith((b"MATLAB", b"\x89HDF\r\n\x1a\n")) or path.suffix.lower() == ".mat":
         return read_tree(path)
-    from stapeskit.tables import read_table
-
-    wanted = ["time_s", *(name.lower() for name in names)]
-
-    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
-        if missing := [name for name in wanted if name not in header]:
-            got, where = f"no column {', '.join(missing)}", Place(file, "line", (1,))
-            raise StapeskitError.of("the table", "complete", got, where, "Add it, or correct its name")
-        return {*wanted, "freq_hz"} & set(header), set()
-
-    table = read_table(path, choose)
-    raise_all(table.faults)
+    table, faults = read_named(path, ["time_s", *(name.lower() for name in names)], ["freq_hz"], texts=())
+    raise_all(faults)
     return table.numbers
 
 
