@@ -119,10 +119,8 @@ def plate_errors(parts: StapesParts) -> Iterator[Grey]:
     fit, plane = parts.fit, parts.fit.media.plane
     if plane is None or plane.wets:
         return
-    window, unit = fit.windows["plate"], 1.0 / parts.level.contrast
-    height = np.zeros_like(fit.data)
-    height[window] = plane.changes(fit)[0][0] * np.float32(plane.sd_mm * unit)
-    yield parts.where_own(height)
+    unit = 1.0 / parts.level.contrast
+    yield parts.where_own(plane.changes(fit)[0][0] * np.float32(plane.sd_mm * unit))
     deep = fit.start.near & (fit.shares["plate"] > np.float32(_DEEP))
     if np.count_nonzero(deep) > _LEAST_DEEP:
         error = mean_by_cells(fit.residual[deep], deep, _CELL_VOXELS)[1]

@@ -9,6 +9,7 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.bone import BoneLevel
 from ct_inertia.grey.scene import SceneFit
 from ct_inertia.voxels.fields import local_ratio
+from ct_inertia.voxels.masks import hull, widened
 
 _RIM = (0.05, 0.95)
 _RIM_WIDTHS = 3.29  # widths of the blur between these shares of a plane edge
@@ -43,10 +44,10 @@ def body_surface(
     begin = fit.start
     contrast = fit.contrasts[name]
     noise = begin.noise / contrast
-    window = fit.windows[name]
     cell = begin.grid.scan_from_index[:3, :3]
-    where = fit.side(name)[window]
-    shown = np.where(where, fit.fields[name], np.float32(-1.0))
+    window = widened(hull(fit.boxes[name]), 1)
+    where = fit.side(name, window)
+    shown = np.where(where, fit.above(name, window), np.float32(-1.0))
     share = fit.shares[name][window]
     rim = ((share > _RIM[0]) & (share < _RIM[1]) & where & begin.near[window]).astype(np.float32)
     square = np.square(fit.residual[window] * np.float32(1.0 / contrast)) * rim

@@ -12,11 +12,11 @@ from ct_inertia.grey.plate_plane import FacePlane, beside_stapes
 from ct_inertia.grey.start import Start
 from ct_inertia.voxels.distance import capped_distance
 from ct_inertia.voxels.fields import Grey, blur, local_ratio, share_above
-from ct_inertia.voxels.masks import Mask, grown
+from ct_inertia.voxels.masks import Mask, Slices, grown
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
-    from ct_inertia.grey.scene import SceneFit, Window
+    from ct_inertia.grey.scene import SceneFit
 
 _STILL_VOXELS = 2e-3  # of the plane of a plate from round to round: a tenth of what noise leaves
 _LEAST_VOID = 12  # voxels of a closed void; fewer are noise
@@ -108,19 +108,19 @@ class Media:
         """A fluid touches the stapes."""
         return self.touching is not None or (self.plane is not None and self.plane.wets)
 
-    def plastic(self, fit: SceneFit, field: Grey, window: Window) -> Grey:
-        """Return the share of plastic, or of a fluid that was taken for it, in the voxels of a window.
+    def plastic(self, fit: SceneFit, field: Grey, box: Slices) -> Grey:
+        """Return the share of plastic, or of a fluid that was taken for it, in the voxels of a box.
 
         The face of a plate is held to its plane near the stapes, where its own grey values show it badly; a
         fluid fills what the bone leaves where it touches.
         """
-        body = share_above(field, fit.side("plate")[window])
+        body = share_above(field, fit.side("plate", box))
         if self.plane is not None:
-            behind = self.plane.share(field.shape, tuple(part.start for part in window))
-            body = np.where(beside_stapes(fit.start, window), behind, body)
+            behind = self.plane.share(field.shape, tuple(part.start for part in box))
+            body = np.where(beside_stapes(fit.start, box), behind, body)
         elif self.touching is not None:
-            body = np.where(self.touching[window], np.float32(1.0), body)
-        bones = [fit.bodies[name][window] for name in fit.names if name != "plate"]
+            body = np.where(self.touching[box], np.float32(1.0), body)
+        bones = [fit.bodies[name][box] for name in fit.names if name != "plate"]
         return np.minimum(body, np.float32(1.0) - np.maximum.reduce(bones))
 
     def refine(self, fit: SceneFit) -> bool:
@@ -161,27 +161,25 @@ class Media:
     def follow(self, fit: SceneFit, renew: bool) -> None:
         """Fit the media to what the bodies leave of the data; ``renew``: the soft one too, which is slow."""
         image = np.zeros_like(self.image)
-        rest = fit.data - fit.bones() if renew or self.voids is not None else image
         if self.coat is not None:
             grey = np.float32(self.coat.grey * fit.contrasts["stapes"])
             image += grey * coat_share(fit, self.coat.thickness_mm)
         if self.voids is not None:
-            image += self._filling(fit, rest - image, self.voids)
+            image += self._filling(fit, image, self.voids)
         if renew:
-            rest -= image
-            self._find_soft(fit, rest)
+            self._find_soft(fit, image)
         if self.soft is not None:
             image += self.soft_image(fit)
         self.image = image
 
-    def _filling(self, fit: SceneFit, rest: Grey, voids: Mask) -> Grey:
-        """Fit one grey value to all closed hollows, and return its image."""
+    def _filling(self, fit: SceneFit, image: Grey, voids: Mask) -> Grey:
+        """Fit one grey value to all closed hollows, and return its image; ``image``: that of a coat."""
         start = fit.start
         inside = np.where(voids, np.float32(1.0) - fit.bodies["stapes"], np.float32(0.0))
-        self.void_share = blur(inside, fit.spread_mm2, start.spacing)
+        self.void_share = blur(inside, fit.spread_mm2, start.spacing, fit.near)
         # In the middle of a hollow: at its rim the bone counts as larger until the filling is known.
-        there = self.void_share > np.float32(_MIDDLE * float(self.void_share.max()))
-        share, left = self.void_share[there].astype(float), rest[there]
+        there = np.flatnonzero(self.void_share > np.float32(_MIDDLE * float(self.void_share.max())))
+        share, left = self.void_share.ravel()[there].astype(float), fit.rest(there) - image.ravel()[there]
         square = float(share @ share) + 1e-30
         grey = float(share @ left) / square
         bone = float(fit.shares["stapes"][voids].mean())
@@ -191,37 +189,38 @@ class Media:
         self.void_sd = float(np.hypot(sd, _FILLED_SD * self.void_grey))
         return np.float32(self.void_grey) * self.void_share
 
-    def _find_soft(self, fit: SceneFit, rest: Grey) -> None:
-        """Average the residual where bodies hardly fill a voxel; keep what exceeds the noise.
-
-        ``rest`` is overwritten.
-        """
+    def _find_soft(self, fit: SceneFit, image: Grey) -> None:
+        """Average what the bodies and an image leave where they hardly fill a voxel; keep more than noise."""
         start, contrast = fit.start, fit.contrasts["stapes"]
-        total = np.asarray(sum(fit.shares.values()))
-        clear = ((total < _CLEAR[0]) & (start.basin != 0)) | (total < _CLEAR[1])
-        free = np.where(clear & start.near, 1.0 - total, 0.0).astype(np.float32)
+        near = np.flatnonzero(start.near)
+        total = np.asarray(sum(share.ravel()[near] for share in fit.shares.values()))
+        clear = ((total < _CLEAR[0]) & (start.basin.ravel()[near] != 0)) | (total < _CLEAR[1])
         if self.void_share is not None:
-            free[self.void_share > 0.05] = 0.0
+            clear &= self.void_share.ravel()[near] <= 0.05
+        free = np.where(clear, np.float32(1.0) - total, np.float32(0.0))
+        top, bottom = np.zeros_like(image), np.zeros_like(image)
+        top.ravel()[near] = (fit.rest(near) - image.ravel()[near]) * free
+        bottom.ravel()[near] = np.square(free)
         width = _MEDIUM_SIGMAS * fit.sigma_mm / start.spacing
-        rest *= free
-        mean = local_ratio(rest, np.square(free, out=free), width, 0.02)
+        mean = local_ratio(top, bottom, width, 0.02, fit.near).ravel()[near]
         independent = max(1.0, float(np.prod(2.0 * np.sqrt(np.pi) * width)))
         scatter = start.noise * np.sqrt(start.correlation / independent)
         least = np.float32(max(_LEAST_MEDIUM * contrast, 3.0 * scatter))
+        within = start.within_reach.ravel()[near]
         if self.soft is None and not any(
-            _stands_out(mean, start.within_reach & (total < share), max(most * contrast, 5.0 * scatter))
+            _stands_out(mean[within & (total < share)], max(most * contrast, 5.0 * scatter))
             for share, most in ((_BEYOND_EDGES, 2.0 * _LEAST_MEDIUM), (_CLEAR[1], _STRONG))
         ):
             return
-        kept = np.clip((np.abs(mean) - least) / least, 0.0, 1.0) * start.near
+        kept = np.clip((np.abs(mean) - least) / least, 0.0, 1.0)
         most = np.float32(_DENSEST * contrast)
-        self.soft = (np.clip(mean, -most, most) * kept).astype(np.float32)
+        self.soft = np.zeros_like(image)
+        self.soft.ravel()[near] = np.clip(mean, -most, most) * kept
 
 
-def _stands_out(mean: Grey, where: Mask, most: float) -> bool:
-    """Return whether a mean passes a size in more than a small part of some voxels."""
-    beyond = np.count_nonzero(where & (np.abs(mean) > np.float32(most)))
-    return bool(beyond > _LEAST_PART * np.count_nonzero(where))
+def _stands_out(means: Grey, most: float) -> bool:
+    """Return whether more than a small part of some means (n,) pass a size."""
+    return bool(np.count_nonzero(np.abs(means) > np.float32(most)) > _LEAST_PART * means.size)
 
 
 def coat_share(fit: SceneFit, thickness_mm: float) -> Grey:
@@ -237,9 +236,9 @@ def coat_share(fit: SceneFit, thickness_mm: float) -> Grey:
 
     bone = np.sum([one for name, one in fit.shares.items() if name != "plate"], axis=0)
     share = np.zeros_like(fit.data)
-    there = bone > np.float32(_NOTHING)
-    values = np.minimum(bone[there].astype(float), 1.0 - _NOTHING)
-    share[there] = ndtr(ndtri(values) + thickness_mm / fit.sigma_mm) - values
+    there = np.flatnonzero(bone > np.float32(_NOTHING))
+    values = np.minimum(bone.ravel()[there], np.float32(1.0 - _NOTHING))
+    share.ravel()[there] = ndtr(ndtri(values) + np.float32(thickness_mm / fit.sigma_mm)) - values
     return share
 
 

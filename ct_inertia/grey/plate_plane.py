@@ -18,7 +18,7 @@ from ct_inertia.surface.contour import contour
 from ct_inertia.surface.surface import Surface
 from ct_inertia.voxels.fields import Grey, blur
 from ct_inertia.voxels.grid import Grid
-from ct_inertia.voxels.masks import Mask
+from ct_inertia.voxels.masks import EVERYWHERE, Mask, Slices
 from stapeskit.arrays import Array
 
 if TYPE_CHECKING:
@@ -105,12 +105,11 @@ class FacePlane:
 
     def refined(self, fit: SceneFit) -> FacePlane:
         """Move and tilt the plane by a step of Gauss and Newton to the least residual next to the stapes."""
-        window = fit.windows["plate"]
         changes, basis, middle = self.changes(fit)
-        clear = fit.start.near[window] & (fit.shares["stapes"][window] < np.float32(_CLEAR))
-        clear &= changes[0] > np.float32(1e-3 * float(changes[0].max()))
+        shown = changes[0] > np.float32(1e-3 * float(changes[0].max()))
+        clear = fit.start.near & shown & (fit.shares["stapes"] < np.float32(_CLEAR))
         rows = np.stack([change[clear] for change in changes]).astype(float)
-        residual = fit.residual[window][clear].astype(float)
+        residual = fit.residual[clear].astype(float)
         squares = rows @ rows.T
         if rows.shape[1] < _LEAST_VOXELS or np.linalg.cond(squares) > 1e12:
             return self
@@ -122,13 +121,13 @@ class FacePlane:
         sd = fit.start.noise * float(np.sqrt(fit.start.correlation * np.linalg.inv(squares)[0, 0]))
         return replace(self, normal=normal / length, offset_mm=offset / length, sd_mm=sd)
 
-    def changes(self, fit: SceneFit) -> tuple[Grey, Array, Array]:
+    def changes(self, fit: SceneFit) -> tuple[list[Grey], Array, Array]:
         """Return how the plate's image changes with height and tilts of the plane.
 
         Returns
         -------
-        changes : ndarray of float32, (3, z, y, x)
-            Grey values per mm of height and per rad of two tilts, in the window of the plate.
+        changes : list of 3 ndarray of float32, [z, y, x]
+            Grey values per mm of height and per rad of two tilts.
         basis : ndarray, (2, 3)
             Directions z, y, x along which the tilted plane rises.
         middle : ndarray, (3,)
@@ -138,30 +137,21 @@ class FacePlane:
         -----
         A height a + b u + c v of the face adds a layer of that thickness where no bone is, blurred.
         """
-        window, start = fit.windows["plate"], fit.start
-        first = tuple(part.start for part in window)
         edge = float(self.spacing.mean())
-        bones = np.maximum.reduce([fit.bodies[name][window] for name in fit.names if name != "plate"])
-        depth = self.depth(bones.shape, first)
-        layer = (beside_stapes(start, window) & (np.abs(depth) < np.float32(0.5 * edge))) * (1.0 - bones)
-        layer = (layer * np.float32(fit.contrasts["plate"] / edge)).astype(np.float32)
+        places = np.flatnonzero(beside_stapes(fit.start))
+        points = np.stack(np.unravel_index(places, fit.data.shape)) * self.spacing[:, None]
+        at_face = np.abs(self.normal @ points - self.offset_mm) < 0.5 * edge
+        places, points = places[at_face], points[:, at_face]
+        bones = [fit.bodies[name].ravel()[places] for name in fit.names if name != "plate"]
+        layer = (1.0 - np.maximum.reduce(bones)) * (fit.contrasts["plate"] / edge)
         basis = np.linalg.svd(self.normal[None])[2][1:]
-        places = [(np.arange(n) + f) * h for n, f, h in zip(layer.shape, first, self.spacing, strict=True)]
-        total = max(float(layer.sum(dtype=float)), 1e-30)
-        middle = np.array(
-            [
-                layer.sum(axis=tuple(k for k in range(3) if k != axis), dtype=float) @ place / total
-                for axis, place in enumerate(places)
-            ]
-        )
-        z, y, x = (place - centre for place, centre in zip(places, middle, strict=True))
-        changes = [blur(layer, fit.spread_mm2, self.spacing)]
-        for along in basis:
-            height = ((along[0] * z)[:, None, None] + (along[1] * y)[:, None] + along[2] * x).astype(
-                np.float32
-            )
-            changes.append(blur(layer * height, fit.spread_mm2, self.spacing))
-        return np.stack(changes), basis, middle
+        middle = points @ layer / max(float(layer.sum()), 1e-30)
+        changes = []
+        for height in (1.0, *(basis @ (points - middle[:, None]))):
+            change = np.zeros_like(fit.data)
+            change.ravel()[places] = layer * height
+            changes.append(blur(change, fit.spread_mm2, self.spacing, fit.boxes["plate"]))
+        return changes, basis, middle
 
 
 def plate_surface(labelled: Labelled) -> Surface | None:
@@ -176,7 +166,7 @@ def plate_surface(labelled: Labelled) -> Surface | None:
     return contour(region.field, region.scan_from_index, level)
 
 
-def beside_stapes(start: Start, window: tuple[slice, ...]) -> Mask:
+def beside_stapes(start: Start, box: Slices = EVERYWHERE) -> Mask:
     """Return where the plate's body follows its plane: near the stapes, and near the plate's own mask."""
     wide = np.float32(_ABOUT_SIGMAS * start.sigma_mm + 2.0 * start.spacing.max())
-    return np.asarray(start.within_reach[window] & (start.distances["plate"][window] <= wide))
+    return np.asarray(start.within_reach[box] & (start.distances["plate"][box] <= wide))

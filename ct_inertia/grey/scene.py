@@ -21,14 +21,16 @@ from ct_inertia.grey.plate_plane import beside_stapes
 from ct_inertia.grey.start import Start
 from ct_inertia.grey.storing import Storing
 from ct_inertia.voxels.fields import Grey, blur, local_ratio, share_above, smooth
-from ct_inertia.voxels.masks import Mask, used_box, widened
+from ct_inertia.voxels.masks import EVERYWHERE, Mask, Slices, boxes_around, used_box, widened
 from stapeskit.arrays import Array
 
 _ROUNDS = 16  # most rounds: errors of a level shrink to a third in each
-_BLUR_ROUNDS = range(1, _ROUNDS, 2)  # after which the blur is fitted
+_BLUR_ROUNDS = (0, *range(1, _ROUNDS, 2), 2)  # after which the blur is fitted
 _LEAST_ROUNDS = 5  # that are always made; from the last one on the blur may be uneven
 _MEDIA_ROUNDS = (2, 5, 8)
-_SETTLED = 1e-4  # relative change of the contrast below which the scene is settled
+_SETTLED = (
+    2.5e-4  # relative change of the contrast below which a scene is settled: more rounds follow noise
+)
 _BLUR_SETTLED = 0.02  # the same of the covariance of the blur
 _DAMPING = (0.7, 0.5)  # of the local level, at first and later: where the blur is uneven it swings by itself
 _GAIN = 1.2  # of the contrast: the surface answers to a contrast and takes a part of the residual
@@ -48,13 +50,12 @@ _UNEVEN = 0.08  # of the variance of the blur: less is covered by the uncertaint
 _CLEAR_AIR = 0.02  # of the contrast: a medium beyond it is no air
 _LEVELS = (0.15, 0.85)  # of a local level: beyond, a body would vanish into its blur
 
-Window = tuple[slice, ...]
-EVERYWHERE: Window = (slice(None),) * 3
-
 
 @dataclass
 class SceneFit:
     """A scene while it is fitted; arrays [z, y, x] on the part of the box that `Start` chose.
+
+    All is followed in boxes around what is near the stapes, a third of that part.
 
     Attributes
     ----------
@@ -64,20 +65,24 @@ class SceneFit:
     spread_mm2 : ndarray, (3, 3)
         Covariance of the blur along z, y, x, voxel included.
     contrasts : dict of str to float
-    shares, bodies : dict of str to ndarray of float32
-        Blurred share and sharp share of each body.
-    levels, fields : dict of str to ndarray of float32
-        Local level of each body, and by how much its grey values pass it, in its window.
     media : Media
     storing : Storing or None
-    residual : ndarray of float32
-        Of the data, less the model.
     uneven : bool
         The blur differs by direction.
+    calm : ndarray of float32
+        The data as calm as noise asks: the surface shall not follow it voxel by voxel.
+    residual : ndarray of float32
+        Of the data, less the model.
+    shares, bodies, levels : dict of str to ndarray of float32
+        Blurred share, sharp share and local level of each body.
+    near : list of tuple of 3 slice
+        Boxes around what is near the stapes.
+    boxes : dict of str to list of tuple of 3 slice
+        The same, of what the blur of each body reaches.
+    places : dict of str to ndarray of int, (n,)
+        Flat indices of the voxels near the stapes that belong to each body.
     slopes : list of float
         Data over model inside the stapes, round by round: 1 where the contrast is settled.
-    windows : dict of str to tuple of 3 slice
-        Where each body is modelled.
     """
 
     start: Start
@@ -86,14 +91,33 @@ class SceneFit:
     contrasts: dict[str, float]
     media: Media
     storing: Storing | None = None
+    uneven: bool = False
+    calm: Grey = field(init=False)
+    residual: Grey = field(init=False)
     shares: dict[str, Grey] = field(default_factory=dict)
     bodies: dict[str, Grey] = field(default_factory=dict)
     levels: dict[str, Grey] = field(default_factory=dict)
-    fields: dict[str, Grey] = field(default_factory=dict)
-    residual: Grey = field(init=False)
+    near: list[Slices] = field(default_factory=list)
+    boxes: dict[str, list[Slices]] = field(default_factory=dict)
+    places: dict[str, NDArray[np.intp]] = field(default_factory=dict)
     slopes: list[float] = field(default_factory=list)
-    uneven: bool = False
-    windows: dict[str, Window] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, start: Start, media: Media, storing: Storing | None, spread_mm2: Array, uneven: bool
+    ) -> SceneFit:
+        """Begin with the bodies of the masks."""
+        data = start.grey - np.float32(start.air)
+        fit = cls(start, data, spread_mm2, dict(start.contrasts), media, storing, uneven)
+        fit.near, fit.residual = boxes_around(start.near), np.zeros_like(data)
+        for name, mask in start.masks.items():
+            reached = start.distances[name] < np.float32(start.reach_mm)
+            window = widened(used_box(start.near & reached), 1)
+            fit.boxes[name] = [_moved(box, window) for box in boxes_around(reached[window])]
+            fit.places[name] = np.flatnonzero(start.near & fit.side(name))
+            fit.bodies[name], fit.levels[name] = mask.astype(np.float32), np.full(mask.shape, np.float32(0.5))
+            fit.shares[name] = blur(fit.bodies[name], spread_mm2, start.spacing, fit.boxes[name])
+        return fit
 
     @property
     def sigma_mm(self) -> float:
@@ -109,7 +133,8 @@ class SceneFit:
     @property
     def smoothing(self) -> float:
         """Width, voxels, over which noise asks to average what the surface follows."""
-        width = float(min(_SMOOTHING * self.start.noise / abs(self.contrasts["stapes"]), _MOST_SMOOTHING))
+        start = self.start
+        width = float(min(_SMOOTHING * start.noise / abs(start.contrasts["stapes"]), _MOST_SMOOTHING))
         return width if width > _LEAST_SMOOTHING else 0.0
 
     @property
@@ -127,17 +152,37 @@ class SceneFit:
         """Names of the bodies, the stapes first."""
         return list(self.start.masks)
 
-    def side(self, name: str) -> Mask:
-        """Return the voxels that belong to a body."""
-        return np.asarray(self.start.basin == 1 + self.names.index(name))
+    def side(self, name: str, box: Slices = EVERYWHERE) -> Mask:
+        """Return the voxels that belong to a body, in a box."""
+        return np.asarray(self.start.basin[box] == 1 + self.names.index(name))
 
-    def bones(self, but: str = "", window: Window = EVERYWHERE) -> Grey:
-        """Return the grey values of all bodies but one, in a window."""
-        total = np.zeros_like(self.data[window])
+    def bones(self, but: str = "", box: Slices = EVERYWHERE) -> Grey:
+        """Return the grey values of all bodies but one, in a box."""
+        total = np.zeros_like(self.data[box])
         for name, share in self.shares.items():
             if name != but:
-                total += np.float32(self.contrasts[name]) * share[window]
+                total += np.float32(self.contrasts[name]) * share[box]
         return total
+
+    def rest(self, places: NDArray[np.intp]) -> Grey:
+        """Return what the bodies leave of the data at flat indices (n,)."""
+        rest = self.data.ravel()[places]
+        for name, share in self.shares.items():
+            rest -= np.float32(self.contrasts[name]) * share.ravel()[places]
+        return rest
+
+    def above(self, name: str, box: Slices) -> Grey:
+        """Return by how much the own grey values of a body pass its local level, over its contrast."""
+        above = self.calm[box] - self.bones(name, box)
+        above -= self.media.image[box]
+        above *= np.float32(1.0 / self.contrasts[name])
+        above -= self.levels[name][box]
+        return above
+
+
+def _moved(box: Slices, window: Slices) -> Slices:
+    z, y, x = (slice(a.start + w.start, a.stop + w.start) for a, w in zip(box, window, strict=True))
+    return z, y, x
 
 
 def fit_scene(start: Start, media: Media, storing: Storing | None = None) -> SceneFit:
@@ -154,19 +199,11 @@ def fit_scene(start: Start, media: Media, storing: Storing | None = None) -> Sce
 
 
 def _fitted(start: Start, media: Media, storing: Storing | None, spread_mm2: Array, uneven: bool) -> SceneFit:
-    data = start.grey - np.float32(start.air)
-    fit = SceneFit(start, data, spread_mm2, dict(start.contrasts), media, storing, uneven=uneven)
-    for name, mask in start.masks.items():
-        fit.windows[name] = _window(start, name)
-        fit.shares[name], fit.bodies[name] = (np.zeros(mask.shape, dtype=np.float32) for _ in range(2))
-        body = mask[fit.windows[name]].astype(np.float32)
-        fit.levels[name] = np.full(body.shape, np.float32(0.5))
-        fit.shares[name][fit.windows[name]] = blur(body, fit.spread_mm2, start.spacing)
-    sharp = False
+    fit, sharp = SceneFit.of(start, media, storing, spread_mm2, uneven), False
+    fit.calm = _calm(fit)
     for turn in range(_ROUNDS):
-        calm = _calm(fit)
         for name in fit.names:
-            _place_surface(fit, name, calm)
+            _place_surface(fit, name)
         fit.media.follow(fit, turn in _MEDIA_ROUNDS)
         _compare(fit)
         rests = turn > 0 and fit.media.refine(fit)
@@ -184,53 +221,50 @@ def _fitted(start: Start, media: Media, storing: Storing | None, spread_mm2: Arr
     return fit
 
 
-def _window(start: Start, name: str) -> Window:
-    """Return the box of the voxels that a body's blur reaches near the stapes."""
-    return widened(used_box(start.near & (start.distances[name] < np.float32(start.reach_mm))), 1)
-
-
 def _calm(fit: SceneFit) -> Grey:
-    """Return the grey values as calm as noise asks: the surface shall not follow it voxel by voxel."""
     return smooth(fit.data, np.full(3, fit.smoothing)) if fit.smoothing else fit.data
 
 
-def _place_surface(fit: SceneFit, name: str, calm: Grey) -> None:
+def _place_surface(fit: SceneFit, name: str) -> None:
     """Put the surface of a body where its own grey values pass the local level."""
-    window = fit.windows[name]
-    above = calm[window] - fit.bones(name, window)
-    above -= fit.media.image[window]
-    above *= np.float32(1.0 / fit.contrasts[name])
-    above -= fit.levels[name]
-    if name == "plate":
-        body = fit.media.plastic(fit, above, window)
-    else:
-        body = share_above(above, fit.side(name)[window])
-    fit.bodies[name][window], fit.fields[name] = body, above
-    fit.shares[name][window] = blur(body, fit.spread_mm2, fit.start.spacing)
+    bodies = fit.bodies[name]
+    for box in fit.boxes[name]:
+        wide = widened(box, 1)  # slopes are taken to the neighbours
+        above = fit.above(name, wide)
+        if name == "plate":
+            body = fit.media.plastic(fit, above, wide)
+        else:
+            body = share_above(above, fit.side(name, wide))
+        bodies[box] = body[
+            tuple(slice(a.start - w.start, a.stop - w.start) for a, w in zip(box, wide, strict=True))
+        ]
+    fit.shares[name] = blur(bodies, fit.spread_mm2, fit.start.spacing, fit.boxes[name])
 
 
 def _compare(fit: SceneFit) -> None:
-    model = fit.bones()
-    model += fit.media.image
+    for box in fit.near:
+        model = fit.bones(box=box)
+        model += fit.media.image[box]
+        if fit.storing is not None:
+            fit.data[box] = fit.start.grey[box] - np.float32(fit.start.air)
+            fit.data[box] -= fit.storing.change(model + np.float32(fit.start.air))
+        fit.residual[box] = fit.data[box] - model
     if fit.storing is not None:
-        fit.data = fit.start.grey - np.float32(fit.start.air)
-        fit.data -= fit.storing.change(model + np.float32(fit.start.air))
-    fit.residual = np.subtract(fit.data, model, out=model)
+        fit.calm = _calm(fit)
 
 
 def _adjust_contrasts(fit: SceneFit) -> bool:
     """Scale contrasts by data over model deep inside; return whether the stapes' is settled."""
     for name in fit.names:
-        window = fit.windows[name]
-        inner = (fit.start.near & fit.side(name))[window]
+        places, share = fit.places[name], fit.shares[name].ravel()
         if name == "plate" and fit.media.plane is not None:
-            inner = beside_stapes(fit.start, window)  # where its body follows the plane, not the noise
-        inner &= fit.shares[name][window] > np.float32(_INNER)
-        if np.count_nonzero(inner) < (_LEAST_PLASTIC if name == "plate" else _LEAST_INNER):
+            places = np.flatnonzero(beside_stapes(fit.start))  # its body follows the plane, not noise
+        places = places[share[places] > np.float32(_INNER)]
+        if len(places) < (_LEAST_PLASTIC if name == "plate" else _LEAST_INNER):
             continue
-        data = fit.data[window][inner]
-        model = data - fit.residual[window][inner]
-        slope = float(np.dot(data, model) / np.dot(model, model))
+        data = fit.data.ravel()[places].astype(float)
+        model = data - fit.residual.ravel()[places]
+        slope = float(data @ model / (model @ model))
         if name == "stapes":
             fit.slopes.append(slope)
         elif name == "other" and fit.start.contrasts["other"] == fit.start.contrasts["stapes"]:
@@ -254,21 +288,18 @@ def _adjust_blur(fit: SceneFit, late: bool) -> bool:
     bool
         It hardly changed.
     """
-    window = fit.windows["stapes"]
-    own = (fit.start.near & fit.side("stapes"))[window]
-    free = own.copy()
+    share, places = fit.shares["stapes"], fit.places["stapes"]
+    free = np.ones(len(places), dtype=bool)
     for name in fit.names[1:]:
-        free &= (fit.start.distances[name] > np.float32(fit.start.reach_mm))[window]
+        free &= fit.start.distances[name].ravel()[places] > np.float32(fit.start.reach_mm)
     if fit.media.soft is not None:
-        free &= np.abs(fit.media.soft[window]) < np.float32(_CLEAR_AIR * fit.contrasts["stapes"])
-    own = free if np.count_nonzero(free) > _LEAST_FREE * np.count_nonzero(own) else own
-    share = fit.shares["stapes"][window]
-    shown = np.zeros_like(own)
-    inner = (slice(1, -1),) * 3
-    shown[inner] = own[inner] & (share[inner] > _BLURRED[0]) & (share[inner] < _BLURRED[1])
-    place = np.flatnonzero(shown)
-    changes = _by_spread(share, place, fit.start.spacing)
-    residual = fit.residual[window].ravel()[place] * np.float32(1.0 / fit.contrasts["stapes"])
+        clear = np.float32(_CLEAR_AIR * fit.contrasts["stapes"])
+        free &= np.abs(fit.media.soft.ravel()[places]) < clear
+    places = places[free] if np.count_nonzero(free) > _LEAST_FREE * len(places) else places
+    shown = share.ravel()[places]
+    places = places[(shown > _BLURRED[0]) & (shown < _BLURRED[1]) & _is_inner(places, share.shape)]
+    changes = _by_spread(share, places, fit.start.spacing)
+    residual = fit.residual.ravel()[places] * np.float32(1.0 / fit.contrasts["stapes"])
     squares = (changes @ changes.T).astype(float)
     step = symmetric(np.linalg.lstsq(squares, (changes @ residual).astype(float), rcond=1e-6)[0])
     even, square = np.eye(3) * np.trace(step) / 3.0, fit.sigma_mm**2
@@ -283,6 +314,12 @@ def _adjust_blur(fit: SceneFit, late: bool) -> bool:
     np.fill_diagonal(spread, np.maximum(np.diag(spread), _LEAST_SPREAD * fit.start.spacing**2))
     fit.spread_mm2 = spread
     return bool(np.abs(step).max() < _BLUR_SETTLED * square)
+
+
+def _is_inner(places: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return whether flat indices (n,) lie off the faces of an array."""
+    index = np.unravel_index(places, shape)
+    return np.logical_and.reduce([(i > 0) & (i < n - 1) for i, n in zip(index, shape, strict=True)])
 
 
 def _by_spread(share: Grey, place: NDArray[np.intp], spacing: Array) -> Grey:
@@ -306,13 +343,15 @@ def _by_spread(share: Grey, place: NDArray[np.intp], spacing: Array) -> Grey:
 
 def _adjust_level(fit: SceneFit, name: str, damping: float) -> None:
     """Move the local level by what the model leaves at the rim, averaged over a width of the blur."""
-    window = fit.windows[name]
-    share = fit.shares[name][window]
-    rim = (share > _RIM[0]) & (share < _RIM[1]) & fit.side(name)[window] & fit.start.near[window]
+    places, share = fit.places[name], fit.shares[name].ravel()
+    places = places[(share[places] > _RIM[0]) & (share[places] < _RIM[1])]
     if name == "stapes" and fit.media.voids is not None:
-        rim &= ~fit.media.voids[window]  # the level would take what fills a hollow
-    weight = rim.astype(np.float32)
-    left = fit.residual[window] * np.float32(1.0 / fit.contrasts[name]) * weight
+        places = places[~fit.media.voids.ravel()[places]]  # the level would take what fills a hollow
+    left, weight = np.zeros_like(fit.data), np.zeros_like(fit.data)
+    left.ravel()[places] = fit.residual.ravel()[places] * np.float32(1.0 / fit.contrasts[name])
+    weight.ravel()[places] = 1.0
     width = np.hypot(_LEVEL_SIGMAS * fit.widths_mm / fit.start.spacing, fit.smoothing)
-    moved = fit.levels[name] - np.float32(damping) * local_ratio(left, weight, width, 1e-3)
-    fit.levels[name] = np.clip(moved, *_LEVELS)
+    moved = local_ratio(left, weight, width, 1e-3, fit.boxes[name])
+    levels = fit.levels[name]
+    for box in fit.boxes[name]:
+        levels[box] = np.clip(levels[box] - np.float32(damping) * moved[box], *_LEVELS)

@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.voxels.masks import Slices, hull, widened
 from stapeskit.arrays import Array
 
 Grey = NDArray[np.float32]
@@ -14,19 +15,26 @@ Grey = NDArray[np.float32]
 _TRUNCATE = 4.3  # widths of the blur beyond which 2e-5 of it lies
 _ROWS = 16  # of a band matrix that are multiplied at a time: narrow bands, and BLAS starts no threads
 _LEAST_COARSE = 1.0  # voxels: cells of two voxels smooth by 0.96 themselves
+_HALO = 16  # voxels around boxes beyond which a blur does not reach into them: four of its widths
 _STEEP = 1e-3  # least slope of a field per voxel: below, a voxel is wholly above or below a level
 
 
-def smooth(field: Grey, width: Array) -> Grey:
+def smooth(field: Grey, width: Array, boxes: list[Slices] | None = None) -> Grey:
     """Return a field [z, y, x] smoothed by a Gaussian; ``width`` (3,) along z, y, x in voxels.
 
     Beyond the border the outermost voxels are repeated. One product with a band matrix along each axis, which
-    is three times as fast as a convolution voxel by voxel.
+    is three times as fast as a convolution voxel by voxel. With ``boxes`` only in these: 0 elsewhere.
     """
-    return _apply(field, [_gaussian(size, _rounded(w)) for size, w in zip(field.shape, width, strict=True)])
+    bands = [_gaussian(size, _rounded(w)) for size, w in zip(field.shape, width, strict=True)]
+    if boxes is None:
+        return _apply(field, bands, _whole(field.shape))
+    result = np.zeros_like(field)
+    for box in boxes:
+        result[box] = _apply(field, bands, box)
+    return result
 
 
-def blur(share: Grey, spread_mm2: Array, spacing: Array) -> Grey:
+def blur(share: Grey, spread_mm2: Array, spacing: Array, boxes: list[Slices] | None = None) -> Grey:
     """Return the blurred image of a body that is given as the share of each voxel that it fills.
 
     Parameters
@@ -37,6 +45,8 @@ def blur(share: Grey, spread_mm2: Array, spacing: Array) -> Grey:
         is in the share already.
     spacing : ndarray, (3,)
         Along z, y, x, mm.
+    boxes : list of tuple of 3 slice, optional
+        Where the image is asked for; 0 elsewhere.
 
     Notes
     -----
@@ -49,12 +59,16 @@ def blur(share: Grey, spread_mm2: Array, spacing: Array) -> Grey:
         cross = float(np.clip(square[a, b], -along[[a, b]].min(), along[[a, b]].min()))
         if cross:
             along[[a, b]] -= abs(cross)
-            share = _along_diagonal(share, (a, b), cross)
-    return smooth(share, np.sqrt(np.maximum(along, 0.0)))
+            share = _along_diagonal(share, (a, b), cross, boxes)
+    return smooth(share, np.sqrt(np.maximum(along, 0.0)), boxes)
 
 
-def _along_diagonal(field: Grey, axes: tuple[int, int], cross: float) -> Grey:
+def _along_diagonal(
+    field: Grey, axes: tuple[int, int], cross: float, boxes: list[Slices] | None = None
+) -> Grey:
     """Smooth along a diagonal of the voxels of two axes, up or down by the sign of ``cross``.
+
+    With boxes only where the field, smoothed once more, reaches them.
 
     Notes
     -----
@@ -67,6 +81,10 @@ def _along_diagonal(field: Grey, axes: tuple[int, int], cross: float) -> Grey:
     reach = int(np.ceil(_TRUNCATE * np.sqrt(variance))) + 1
     weights = ive(np.arange(reach + 1), variance)
     weights /= 2.0 * weights.sum() - weights[0]
+    if boxes:
+        result, window = field.copy(), widened(hull(boxes), _HALO)
+        result[window] = _along_diagonal(field[window], axes, cross)
+        return result
     padded = np.pad(field, [(reach, reach) if axis in axes else (0, 0) for axis in range(3)], mode="edge")
     result = np.zeros_like(field)
     for k in range(-reach, reach + 1):
@@ -77,7 +95,9 @@ def _along_diagonal(field: Grey, axes: tuple[int, int], cross: float) -> Grey:
     return result
 
 
-def local_ratio(top: Grey, bottom: Grey, width: Array, least: float) -> Grey:
+def local_ratio(
+    top: Grey, bottom: Grey, width: Array, least: float, boxes: list[Slices] | None = None
+) -> Grey:
     """Return the local mean of ``top`` over that of ``bottom``, 0 where hardly any of ``bottom`` is near.
 
     Parameters
@@ -87,16 +107,20 @@ def local_ratio(top: Grey, bottom: Grey, width: Array, least: float) -> Grey:
         Standard deviation of the weights along z, y, x, voxels. Wide means are taken on cells of two voxels.
     least : float
         Least local mean of ``bottom``.
+    boxes : list of tuple of 3 slice, optional
+        Where the ratio is asked for; 0 elsewhere.
     """
-    if np.min(width) < _LEAST_COARSE:
-        over, under = smooth(top, width), smooth(bottom, width)
-        return np.asarray(
-            np.where(under > least, over / np.maximum(under, np.float32(least)), np.float32(0.0))
-        )
-    down = [_coarsening(size, _rounded(w)) for size, w in zip(top.shape, width, strict=True)]
-    over, under = _apply(top, down), _apply(bottom, down)
-    ratio = np.where(under > least, over / np.maximum(under, np.float32(least)), np.float32(0.0))
-    return _apply(ratio, [_refining(size) for size in top.shape])
+    coarse = bool(np.min(width) >= _LEAST_COARSE)
+    kind = _coarsening if coarse else _gaussian
+    down = [kind(size, _rounded(w)) for size, w in zip(top.shape, width, strict=True)]
+    up = [_refining(size) for size in top.shape]
+    result = np.zeros_like(top)
+    for box in boxes or [_whole(top.shape)]:
+        cells = _source(up, box) if coarse else box
+        over, under = _apply(top, down, cells), _apply(bottom, down, cells)
+        ratio = np.where(under > least, over / np.maximum(under, np.float32(least)), np.float32(0.0))
+        result[box] = _apply(ratio, up, box, cells) if coarse else ratio
+    return result
 
 
 def share_above(field: Grey, where: NDArray[np.bool_]) -> Grey:
@@ -127,21 +151,39 @@ Band = tuple[NDArray[np.float32], NDArray[np.intp], NDArray[np.intp], NDArray[np
 """A matrix (rows, size); of each row the first and one past the last column that is not 0; its transpose."""
 
 
-def _apply(field: Grey, bands: list[Band]) -> Grey:
-    """Multiply a field by one band matrix along each axis."""
+def _whole(shape: tuple[int, ...]) -> Slices:
+    z, y, x = (slice(0, n) for n in shape)
+    return z, y, x
+
+
+def _source(bands: list[Band], box: Slices) -> Slices:
+    """Return what of a field the product with band matrices takes for a box of the result."""
+    z, y, x = (
+        slice(int(first[rows].min()), int(last[rows].max()))
+        for (_, first, last, _), rows in zip(bands, box, strict=True)
+    )
+    return z, y, x
+
+
+def _apply(field: Grey, bands: list[Band], box: Slices, held: Slices | None = None) -> Grey:
+    """Multiply a field, or the box of one that is held, by a band matrix along each axis, for a box of it."""
+    source = _source(bands, box)
+    begin = [0, 0, 0] if held is None else [along.start for along in held]
+    field = field[tuple(slice(s.start - k, s.stop - k) for s, k in zip(source, begin, strict=True))]
     for axis, (matrix, first, last, transposed) in enumerate(bands):
-        shape = list(field.shape)
-        shape[axis] = len(matrix)
+        shape, rows, begins = list(field.shape), box[axis], source[axis].start
+        shape[axis] = rows.stop - rows.start
         result = np.empty(shape, dtype=np.float32)
         # Products of single planes: they fit the processor's cache.
-        source, out = (field, result) if axis else (field.transpose(1, 0, 2), result.transpose(1, 0, 2))
-        for start in range(0, len(matrix), _ROWS):
-            some = slice(start, min(start + _ROWS, len(matrix)))
+        taken, out = (field, result) if axis else (field.transpose(1, 0, 2), result.transpose(1, 0, 2))
+        for start in range(rows.start, rows.stop, _ROWS):
+            some = slice(start, min(start + _ROWS, rows.stop))
             low, high = int(first[some].min()), int(last[some].max())
+            near, to = slice(low - begins, high - begins), slice(start - rows.start, some.stop - rows.start)
             if axis < 2:
-                np.matmul(matrix[some, low:high], source[:, low:high], out=out[:, some])
+                np.matmul(matrix[some, low:high], taken[:, near], out=out[:, to])
             else:
-                np.matmul(source[..., low:high], transposed[low:high, some], out=out[..., some])
+                np.matmul(taken[..., near], transposed[low:high, some], out=out[..., to])
         field = result
     return field
 

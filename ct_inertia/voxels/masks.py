@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 Mask = NDArray[np.bool_]
 Slices = tuple[slice, slice, slice]
+EVERYWHERE: Slices = (slice(None), slice(None), slice(None))
 
 
 def used_box(mask: NDArray[Any]) -> Slices | None:
@@ -27,6 +29,15 @@ def widened(box: Slices | None, margin: Any) -> Slices:
     z, y, x = (
         slice(max(0, part.start - int(n)), part.stop + int(n))
         for part, n in zip(box or (slice(0, 1),) * 3, np.broadcast_to(margin, 3), strict=True)
+    )
+    return z, y, x
+
+
+def hull(boxes: list[Slices]) -> Slices:
+    """Return the smallest box that holds some."""
+    z, y, x = (
+        slice(min(part.start for part in along), max(part.stop for part in along))
+        for along in zip(*boxes, strict=True)
     )
     return z, y, x
 
@@ -57,3 +68,31 @@ def eroded(mask: Mask, rounds: int = 1) -> Mask:
         to[:-1] &= source[1:]
         to[[0, -1]] = False
     return result
+
+
+def boxes_around(mask: Mask, planes: int = 16) -> list[Slices]:
+    """Return boxes of a few planes each that hold a mask [z, y, x], apart where it leaves lines empty."""
+    boxes = []
+    for first in range(0, len(mask), planes):
+        last = min(first + planes, len(mask))
+        boxes += [(slice(first, last), y, x) for y, x in _rectangles(np.any(mask[first:last], axis=0), 0, 0)]
+    return boxes
+
+
+def _rectangles(mask: NDArray[np.bool_], y: int, x: int) -> Iterator[tuple[slice, slice]]:
+    """Yield rectangles that hold a mask whose first element is y, x."""
+    down, along = _runs(np.any(mask, axis=1)), _runs(np.any(mask, axis=0))
+    if len(down) * len(along) == 1:
+        yield (
+            slice(y + int(down[0][0]), y + int(down[0][1])),
+            slice(x + int(along[0][0]), x + int(along[0][1])),
+        )
+        return
+    for top, bottom in down:
+        for left, right in along:
+            yield from _rectangles(mask[top:bottom, left:right], y + int(top), x + int(left))
+
+
+def _runs(used: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return the first and one past the last (n, 2) of each run of True."""
+    return np.flatnonzero(np.diff(np.pad(used, 1))).reshape(-1, 2)
