@@ -58,9 +58,11 @@ class Outputs:
                 faults.append(Fault(f"the output {path}", "a file", "a folder", "", "Move it away"))
             elif (read := self._inputs.get(_identity(path) or (-1, -1))) is not None:
                 faults.append(Fault(f"the output {path}", "another file than the inputs", read, "", step))
-            elif os.path.lexists(path) and (name not in known or known[name] != _hash_or_none(path)):
+            elif self.force or not os.path.lexists(path):
+                continue
+            elif name not in known or known[name] != _hash_or_none(path):
                 foreign.append(name)
-        if foreign and not self.force:
+        if foreign:
             expected, got = f"as {self.command} left them", f"others: {list_some(foreign)}"
             things = f"files at the names of outputs in {self.folder}"
             faults.append(Fault(things, expected, got, "", f"{step}, or replace them with --force"))

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import platform
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -80,7 +81,9 @@ def versions() -> dict[str, str]:
     found = {"python": platform.python_version()}
     for name in _PACKAGES:
         with suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
+            # Its line alone: the standard library parses descriptions as mails, a tenth of a second in all.
+            text = metadata.distribution(name).read_text("METADATA") or ""
+            found[name] = re.findall(r"^Version: (\S+)", text, re.MULTILINE)[0]
     return found
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -203,7 +204,6 @@ def count_holes(inside: Mask) -> int:
     is smoothed by a majority vote of 27 voxels first. Voxels that touch in a corner hang together.
     """
     import cc3d
-    from skimage.measure import euler_number
 
     votes = np.pad(inside, 3).astype(np.uint8)
     for axis in range(3):
@@ -215,7 +215,19 @@ def count_holes(inside: Mask) -> int:
         return 0
     smooth = labels == int(np.argmax(np.bincount(labels[smooth])))
     cavities = cc3d.connected_components(~smooth, connectivity=6, return_N=True)[1] - 1
-    return int(1 + cavities - euler_number(smooth, connectivity=3))
+    return 1 + cavities - _euler_number(smooth)
+
+
+def _euler_number(solid: Mask) -> int:
+    """Return corners - edges + faces - voxels of a solid [z, y, x] of closed cubes, off its border."""
+    total = 0
+    for axes in product((False, True), repeat=3):
+        cells = solid
+        for axis in np.flatnonzero(axes):
+            along = np.moveaxis(cells, axis, 0)
+            cells = np.moveaxis(along[1:] | along[:-1], 0, axis)
+        total -= (-1) ** sum(axes) * int(np.count_nonzero(cells))
+    return total
 
 
 def _surrounded(piece: Piece) -> float:
