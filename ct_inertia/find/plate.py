@@ -45,24 +45,26 @@ def find_plate(scan: Scan, overview: Overview, reading: Reading, stapes: Mask) -
         return None
     thin = max(1, int(_GRID_MM / float(overview.grid.spacing_mm.mean())))
     some = (slice(thin // 2, None, thin),) * 3
-    grey = np.ascontiguousarray(overview.grey[some])
+    grey, stapes = overview.grey[some], stapes[some]
     first = overview.grid.block // 2 + (thin // 2) * overview.grid.block
     grid = Grid.of(scan, grey.shape, np.zeros(3, dtype=np.int64), overview.grid.block * thin, first)
+    middle = np.float32(0.5 * (reading.air + reading.plastic))
+    wide = _RIM_MM + float(grid.spacing_mm.max())
+    bright = widened(used_box(grey > middle), np.ceil(4.0 * wide / grid.spacing_mm[::-1]))
+    grey, stapes, grid = np.ascontiguousarray(grey[bright]), stapes[bright], grid.part(bright)
     solid = smooth_noise(grey, overview.noise / reading.contrast) > np.float32(reading.between)
     from_bone = capped_distance(solid, grid.spacing_mm, 2.0 * _RIM_MM)
     soft = smooth(grey, np.full(3, _SMOOTH_VOXELS))
-    middle = np.float32(0.5 * (reading.air + reading.plastic))
     free = (soft > middle) & (from_bone > np.float32(_RIM_MM))
     if overview.unmeasured is not None:
-        free &= ~overview.unmeasured[some]
+        free &= ~overview.unmeasured[some][bright]
     labels = cc3d.connected_components(grown(eroded(free)) & free, connectivity=6)
     dense = reading.air + _DENSE * (reading.plastic - reading.air)
     numbers = 1 + np.flatnonzero(np.bincount(labels.ravel())[1:] * grid.voxel_mm3 >= _LEAST_MM3)
     found = [int(k) for k in numbers if np.percentile(soft[labels == k], 75.0) > dense]
     if not found:
         return None
-    core = np.asarray(labels == _nearest(labels, found, stapes[some], grid.spacing_mm))
-    wide = _RIM_MM + float(grid.spacing_mm.max())
+    core = np.asarray(labels == _nearest(labels, found, stapes, grid.spacing_mm))
     away = capped_distance(core, grid.spacing_mm, 3.0 * wide)
     deep = from_bone > np.float32(1.5 * _RIM_MM)
     beside = deep & (away > np.float32(1.5 * wide)) & (away < np.float32(3.0 * wide))
@@ -74,7 +76,7 @@ def find_plate(scan: Scan, overview: Overview, reading: Reading, stapes: Mask) -
     share = (soft[box] - np.float32(air)) / np.float32(plastic - air)
     inside = grown(grown(mask[box])) & ~grown(solid[box])
     field = np.where(inside, np.clip(share, -1.0, 1.0), np.minimum(share, 0.0)) - np.float32(0.5)
-    immersing = _surrounds(mask, solid, stapes[some], grid.spacing_mm)
+    immersing = _surrounds(mask, solid, stapes, grid.spacing_mm)
     part = grid.part(box)
     return PlateRegion(mask[box], field.astype(np.float32), part, air, plastic, immersing, len(found) > 1)
 

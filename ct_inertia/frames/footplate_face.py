@@ -203,7 +203,7 @@ def plane_normal(face: Face, start: Array) -> Array:
         new = vectors[:, 0] * np.sign(vectors[:, 0] @ start)
         step = float(np.linalg.norm(new - normal))
         normal, offset = new, float(centre @ new)
-        if step < 0.01 * _STILL_RAD:
+        if step < 0.01 * max(_STILL_RAD, float(np.linalg.norm(new - start))):  # of how far the face has moved
             break
     return normal
 

@@ -160,7 +160,7 @@ class Media:
 
     def follow(self, fit: SceneFit, renew: bool) -> None:
         """Fit the media to what the bodies leave of the data; ``renew``: the soft one too, which is slow."""
-        image = np.zeros_like(self.image)
+        image = np.zeros(self.image.shape, dtype=np.float32)
         if self.coat is not None:
             grey = np.float32(self.coat.grey * fit.contrasts["stapes"])
             image += grey * coat_share(fit, self.coat.thickness_mm)
@@ -198,7 +198,7 @@ class Media:
         if self.void_share is not None:
             clear &= self.void_share.ravel()[near] <= 0.05
         free = np.where(clear, np.float32(1.0) - total, np.float32(0.0))
-        top, bottom = np.zeros_like(image), np.zeros_like(image)
+        top, bottom = (np.zeros(image.shape, dtype=np.float32) for _ in range(2))
         top.ravel()[near] = (fit.rest(near) - image.ravel()[near]) * free
         bottom.ravel()[near] = np.square(free)
         width = _MEDIUM_SIGMAS * fit.sigma_mm / start.spacing
@@ -214,7 +214,7 @@ class Media:
             return
         kept = np.clip((np.abs(mean) - least) / least, 0.0, 1.0)
         most = np.float32(_DENSEST * contrast)
-        self.soft = np.zeros_like(image)
+        self.soft = np.zeros(image.shape, dtype=np.float32)
         self.soft.ravel()[near] = np.clip(mean, -most, most) * kept
 
 

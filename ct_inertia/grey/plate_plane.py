@@ -148,7 +148,7 @@ class FacePlane:
         middle = points @ layer / max(float(layer.sum()), 1e-30)
         changes = []
         for height in (1.0, *(basis @ (points - middle[:, None]))):
-            change = np.zeros_like(fit.data)
+            change = np.zeros(fit.data.shape, dtype=np.float32)
             change.ravel()[places] = layer * height
             changes.append(blur(change, fit.spread_mm2, self.spacing, fit.boxes["plate"]))
         return changes, basis, middle

@@ -28,9 +28,7 @@ _ROUNDS = 16  # most rounds: errors of a level shrink to a third in each
 _BLUR_ROUNDS = (0, *range(1, _ROUNDS, 2), 2)  # after which the blur is fitted
 _LEAST_ROUNDS = 5  # that are always made; from the last one on the blur may be uneven
 _MEDIA_ROUNDS = (2, 5, 8)
-_SETTLED = (
-    2.5e-4  # relative change of the contrast below which a scene is settled: more rounds follow noise
-)
+_SETTLED = 2.5e-4  # relative change of the contrast below which a scene is settled: more rounds follow noise
 _BLUR_SETTLED = 0.02  # the same of the covariance of the blur
 _DAMPING = (0.7, 0.5)  # of the local level, at first and later: where the blur is uneven it swings by itself
 _GAIN = 1.2  # of the contrast: the surface answers to a contrast and takes a part of the residual
@@ -109,7 +107,7 @@ class SceneFit:
         """Begin with the bodies of the masks."""
         data = start.grey - np.float32(start.air)
         fit = cls(start, data, spread_mm2, dict(start.contrasts), media, storing, uneven)
-        fit.near, fit.residual = boxes_around(start.near), np.zeros_like(data)
+        fit.near, fit.residual = boxes_around(start.near), np.zeros(data.shape, dtype=np.float32)
         for name, mask in start.masks.items():
             reached = start.distances[name] < np.float32(start.reach_mm)
             window = widened(used_box(start.near & reached), 1)
@@ -347,7 +345,7 @@ def _adjust_level(fit: SceneFit, name: str, damping: float) -> None:
     places = places[(share[places] > _RIM[0]) & (share[places] < _RIM[1])]
     if name == "stapes" and fit.media.voids is not None:
         places = places[~fit.media.voids.ravel()[places]]  # the level would take what fills a hollow
-    left, weight = np.zeros_like(fit.data), np.zeros_like(fit.data)
+    left, weight = (np.zeros(fit.data.shape, dtype=np.float32) for _ in range(2))
     left.ravel()[places] = fit.residual.ravel()[places] * np.float32(1.0 / fit.contrasts[name])
     weight.ravel()[places] = 1.0
     width = np.hypot(_LEVEL_SIGMAS * fit.widths_mm / fit.start.spacing, fit.smoothing)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import product
 from pathlib import Path
 from types import MappingProxyType
@@ -23,6 +23,8 @@ Box = tuple[slice, slice, slice]
 
 Fetch = Callable[[Box], NDArray[Any]]
 """Reads a box with whole, positive starts, stops and steps; returns a new array [z, y, x]."""
+
+_SLAB_BYTES = 1 << 22  # read at a time: fewer are slower
 
 LARGEST_GREY = 1e15
 """Squares of larger grey values, summed over a scan, overflow in single precision."""
@@ -167,7 +169,7 @@ class Scan:
         Parameters
         ----------
         planes : int
-            Planes of a slab but the last; so many times `chunk_planes` are read at a time.
+            Planes of a slab but the last; some megabytes are read at a time, and whole `chunk_planes`.
         box : tuple of 3 slice, optional
             Along z, y, x; the whole scan without it.
 
@@ -178,7 +180,8 @@ class Scan:
         ndarray, [z, y, x]
         """
         every, *rest = self._ranges(box)
-        together = planes * -(-self.chunk_planes // planes)
+        plane = len(rest[0]) * len(rest[1]) * self.dtype.itemsize
+        together = planes * max(-(-self.chunk_planes // planes), _SLAB_BYTES // max(planes * plane, 1))
         for first in range(0, len(every), together):
             values = self.read(_slices([every[first : first + together], *rest]))
             for k in range(0, len(values), planes):
@@ -270,7 +273,7 @@ def block_means(scan: Scan, block: Sequence[int], box: Box) -> NDArray[np.float3
     bx, by, bz = (int(n) for n in block)
     means = []
     for _, slab in scan.slabs(bz, box):
-        layer = np.add.reduce(slab, axis=0, dtype=np.float32)
-        rows = np.add.reduce(layer.reshape(-1, by, layer.shape[1]), axis=1)
-        means.append(np.add.reduce(rows.reshape(len(rows), -1, bx), axis=2))
+        layer = reduce(np.add, slab[1:], slab[0].astype(np.float32))
+        rows = reduce(np.add, (layer[k::by] for k in range(by)))
+        means.append(reduce(np.add, (rows[:, k::bx] for k in range(bx))))
     return np.asarray(np.stack(means) / np.float32(bx * by * bz), dtype=np.float32)

@@ -28,7 +28,7 @@ def smooth(field: Grey, width: Array, boxes: list[Slices] | None = None) -> Grey
     bands = [_gaussian(size, _rounded(w)) for size, w in zip(field.shape, width, strict=True)]
     if boxes is None:
         return _apply(field, bands, _whole(field.shape))
-    result = np.zeros_like(field)
+    result = np.zeros(field.shape, dtype=np.float32)  # zeros_like would touch all of the memory
     for box in boxes:
         result[box] = _apply(field, bands, box)
     return result
@@ -114,7 +114,7 @@ def local_ratio(
     kind = _coarsening if coarse else _gaussian
     down = [kind(size, _rounded(w)) for size, w in zip(top.shape, width, strict=True)]
     up = [_refining(size) for size in top.shape]
-    result = np.zeros_like(top)
+    result = np.zeros(top.shape, dtype=np.float32)
     for box in boxes or [_whole(top.shape)]:
         cells = _source(up, box) if coarse else box
         over, under = _apply(top, down, cells), _apply(bottom, down, cells)
@@ -159,7 +159,7 @@ def _whole(shape: tuple[int, ...]) -> Slices:
 def _source(bands: list[Band], box: Slices) -> Slices:
     """Return what of a field the product with band matrices takes for a box of the result."""
     z, y, x = (
-        slice(int(first[rows].min()), int(last[rows].max()))
+        slice(int(first[rows.start]), int(last[rows.stop - 1]))
         for (_, first, last, _), rows in zip(bands, box, strict=True)
     )
     return z, y, x
@@ -178,7 +178,7 @@ def _apply(field: Grey, bands: list[Band], box: Slices, held: Slices | None = No
         taken, out = (field, result) if axis else (field.transpose(1, 0, 2), result.transpose(1, 0, 2))
         for start in range(rows.start, rows.stop, _ROWS):
             some = slice(start, min(start + _ROWS, rows.stop))
-            low, high = int(first[some].min()), int(last[some].max())
+            low, high = int(first[some.start]), int(last[some.stop - 1])
             near, to = slice(low - begins, high - begins), slice(start - rows.start, some.stop - rows.start)
             if axis < 2:
                 np.matmul(matrix[some, low:high], taken[:, near], out=out[:, to])
