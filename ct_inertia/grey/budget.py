@@ -81,7 +81,7 @@ def amounts_of(
     bone_sd = float(np.hypot(parts.level.sd, 0.0 if fit.storing is None else fit.storing.bone_sd))
     yield "levels", parts.where_own((1.0 - parts.excess) * np.float32(fit.start.air_sd / contrast)), common
     yield "levels", parts.where_own(parts.excess * np.float32(bone_sd / contrast)), common
-    if parts.foreign.any():
+    if len(fit.names) > 1:
         for tail in (parts.foreign, parts.behind):
             yield "separation", np.float32(_TAIL_SD) * tail, by_octants
     for amount in plate_errors(parts):

@@ -101,7 +101,13 @@ class Media:
                 width = _TOUCH_SIGMAS * start.sigma_mm
                 touching = capped_distance(meet, start.spacing[::-1], 1.4 * width) < np.float32(width)
         coat = coat if coat is not None and coat.thickness_mm > 0.0 else None
-        return cls(coat, _hollows(start.masks["stapes"]), touching, plane, np.zeros_like(start.grey))
+        return cls(
+            coat,
+            _hollows(start.masks["stapes"]),
+            touching,
+            plane,
+            np.zeros(start.grey.shape, dtype=np.float32),
+        )
 
     @property
     def wet(self) -> bool:
@@ -133,7 +139,7 @@ class Media:
     def soft_image(self, fit: SceneFit) -> Grey:
         """Return the grey values of the soft medium alone, where bodies leave room for it."""
         if self.soft is None:
-            return np.zeros_like(self.image)
+            return np.zeros(self.image.shape, dtype=np.float32)
         return np.asarray(self.soft * np.clip(1.0 - sum(fit.shares.values()), 0.0, 1.0), dtype=np.float32)
 
     def film_sd(self, fit: SceneFit) -> Grey:

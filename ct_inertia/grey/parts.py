@@ -24,11 +24,8 @@ class StapesParts:
     level : BoneLevel
     own : ndarray of bool, [z, y, x]
         The stapes' side of the borders to other bodies.
-    foreign, behind : ndarray of float32, [z, y, x]
-        Blur of other bodies on its side, and its own on theirs.
     excess : ndarray of float32, [z, y, x]
         Grey values less everything that is not the stapes.
-    residual : ndarray of float32, [z, y, x]
     soft : ndarray of float32, [z, y, x]
         Soft medium that was subtracted.
     coat_sd : ndarray of float32, [z, y, x], or None
@@ -37,40 +34,54 @@ class StapesParts:
     fit: SceneFit
     level: BoneLevel
     own: Mask
-    foreign: Grey
-    behind: Grey
     excess: Grey
-    residual: Grey
     soft: Grey
     coat_sd: Grey | None
 
     @classmethod
     def of(cls, fit: SceneFit) -> StapesParts:
         """Subtract everything that is not the stapes, and choose its level."""
-        own, others, zero = fit.own, fit.bones(but="stapes"), np.float32(0.0)
-        tails = others
-        if fit.media.plane is not None and not fit.media.plane.wets:
-            tails = others - np.float32(fit.contrasts["plate"]) * fit.shares["plate"]
-        left = fit.data - others - fit.media.image
-        level = bone_level(fit, left * np.float32(1.0 / fit.contrasts["stapes"]))
+        own, zero = fit.own, np.float32(0.0)
+        excess = fit.data - fit.bones(but="stapes")
+        excess -= fit.media.image
+        level = bone_level(fit, excess * np.float32(1.0 / fit.contrasts["stapes"]))
         unit = np.float32(1.0 / level.contrast)
+        excess *= unit
         soft = fit.media.soft_image(fit)  # zeros that take no memory where there is none
         return cls(
             fit=fit,
             level=level,
             own=own,
-            foreign=np.where(own, tails * unit, zero),
-            behind=np.where(fit.start.within_reach & ~own, fit.shares["stapes"], zero),
-            excess=left * unit,
-            residual=fit.residual * unit,
+            excess=excess,
             soft=soft if fit.media.soft is None else np.where(own, soft * unit, zero),
             coat_sd=coat_sd_share(fit),
         )
 
     @property
+    def residual(self) -> Grey:
+        """What the model leaves of the grey values."""
+        return self.fit.residual * np.float32(1.0 / self.level.contrast)
+
+    @property
+    def foreign(self) -> Grey:
+        """Blur of other bodies on the stapes' side, but of a dry plate."""
+        fit = self.fit
+        tails = fit.bones(but="stapes")
+        if fit.media.plane is not None and not fit.media.plane.wets:
+            tails -= np.float32(fit.contrasts["plate"]) * fit.shares["plate"]
+        tails *= np.float32(1.0 / self.level.contrast)
+        return self.where_own(tails)
+
+    @property
     def transform(self) -> Array:
         """Index x, y, z to scan coordinates, mm, (4, 4)."""
         return self.fit.start.grid.scan_from_index
+
+    @property
+    def behind(self) -> Grey:
+        """Blur of the stapes on the side of other bodies."""
+        there = self.fit.start.within_reach & ~self.own
+        return np.where(there, self.fit.shares["stapes"], np.float32(0.0))
 
     @property
     def integrand(self) -> Grey:

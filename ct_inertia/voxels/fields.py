@@ -214,19 +214,19 @@ def _weights(centres: Array, size: int, width: float) -> Array:
     return matrix
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def _gaussian(size: int, width: float) -> Band:
     return _banded(_weights(np.arange(size, dtype=float), size, width))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def _coarsening(size: int, width: float) -> Band:
     """Smooth to the middles of cells of two voxels; what refining smooths, two thirds, is left out here."""
     narrow = np.sqrt(max(width**2 - 2.0 / 3.0, 0.25))
     return _banded(_weights(np.arange(0.5, size, 2.0), size, narrow))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def _refining(size: int) -> Band:
     """Interpolate linearly between the middles of cells of two voxels."""
     count = -(-size // 2)
