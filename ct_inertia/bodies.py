@@ -69,7 +69,6 @@ class Cells:
     ----------
     labels : ndarray of uint8, [z, y, x]
         0 background, 1 stapes, 2 plate, 3 other bone.
-    grid : Grid
     """
 
     labels: NDArray[np.uint8]
@@ -87,7 +86,6 @@ class PlateRegion:
     field : ndarray of float32, [z, y, x]
         Positive in plastic, 0 at half of its contrast: its contour is the closed surface of the plate, cut
         out of the bone that is glued to it.
-    grid : Grid
     air, plastic : float
         Grey levels; 0 and 1 for labels.
     immersing : bool
@@ -137,7 +135,6 @@ class Labelled:
         It was by a plane at a neck.
     named : bool
         A person named the body by a seed or by labels: an unusual size is reported, not refused.
-    notices : tuple of Notice
     """
 
     box: Box
@@ -185,7 +182,6 @@ class BodySurface:
     misfit_sd_mm : ndarray of float32, [z, y, x]
         Standard deviation of the height by place that the misfit of the scene leaves, common over
         ``misfit_mm``; 0 where the scene fits to the noise.
-    misfit_mm : float
     level_sd_mm : float
         Standard deviation of one shift of the whole surface along its normal: levels of air and bone.
     cuts : tuple of (ndarray (3,), float)
@@ -258,7 +254,6 @@ class MeasuredBody:
 
     Attributes
     ----------
-    labelled : Labelled
     scene : Scene or None
         None for labels alone and for a thresholded scan.
     moments : Moments

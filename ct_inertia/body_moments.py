@@ -23,7 +23,6 @@ class Moments:
 
     Attributes
     ----------
-    volume_mm3 : float
     centroid_mm : ndarray, (3,)
         Scan coordinates.
     second_mm5 : ndarray, (3, 3)

@@ -52,15 +52,12 @@ class _Work:
 
     Attributes
     ----------
-    options : MassOptions
-    hints : AnatomyHints
     fiducials : PlateFiducials or None
     calibration : Calibration or None
     scan : Scan or None
         The scan, or the grid of labels alone; None for a mesh.
     measured : MeasuredBody or None
         None for a mesh.
-    notices : list of Notice
     """
 
     options: MassOptions
@@ -77,7 +74,6 @@ def measure_mass(options: MassOptions, progress: Progress = no_progress) -> Mass
 
     Parameters
     ----------
-    options : MassOptions
     progress : callable
         Called with the stage at work.
 

@@ -39,10 +39,8 @@ class MassResult(Result):
 
     Attributes
     ----------
-    options : MassOptions
     matrix : MassMatrix
         About the footplate centre in footplate axes, added masses included.
-    footplate : FootplateFrame
     plate_frame : PlateFrame or None
     stapes : Surface
         With the moments that were measured; the mesh that was given.
@@ -59,7 +57,6 @@ class MassResult(Result):
         How the stapes was found and measured; None for a mesh.
     inputs : mapping of str to mapping
         Name, size, time and hash of every input by its role.
-    notices : tuple of Notice
     """
 
     options: MassOptions
@@ -220,10 +217,8 @@ class MassResult(Result):
 
         Parameters
         ----------
-        folder : path
         force : bool
             Replace files that are not known as written by ct2mass. Inputs are never replaced.
-        report : bool
 
         Raises
         ------

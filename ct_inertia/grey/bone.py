@@ -48,7 +48,6 @@ def bone_level(fit: SceneFit, excess: Grey) -> BoneLevel:
 
     Parameters
     ----------
-    fit : SceneFit
     excess : ndarray of float32, [z, y, x]
         Grey values less air and everything that is not the stapes, in units of the fitted contrast.
 

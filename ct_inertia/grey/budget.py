@@ -67,7 +67,6 @@ def amounts_of(
 
     Parameters
     ----------
-    parts : StapesParts
     misfit : bool
         Whether the scene's residual is significant.
     unstated : ndarray of float32, [z, y, x], or None
@@ -86,7 +85,7 @@ def amounts_of(
             yield "separation", np.float32(_TAIL_SD) * tail, by_octants
     for amount in plate_errors(parts):
         yield "separation", amount, common
-    if parts.soft.any():
+    if parts.soft is not None:
         for spread in (common, by_octants):
             yield "surroundings", np.float32(_SOFT_SD / np.sqrt(2.0)) * parts.soft, spread
         yield "surroundings", parts.where_own(fit.media.film_sd(fit) / np.float32(contrast)), common

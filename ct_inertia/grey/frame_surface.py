@@ -25,9 +25,6 @@ def body_surface(
 
     Parameters
     ----------
-    fit : SceneFit
-    name : str
-    level : BoneLevel
     doubt : ndarray of float32, [z, y, x], optional
         One standard deviation of what was subtracted, as a share of bone.
     misfit_mm3 : float
@@ -48,10 +45,11 @@ def body_surface(
     window = widened(hull(fit.boxes[name]), 1)
     where = fit.side(name, window)
     shown = np.where(where, fit.above(name, window), np.float32(-1.0))
-    share = fit.shares[name][window]
-    rim = ((share > _RIM[0]) & (share < _RIM[1]) & where & begin.near[window]).astype(np.float32)
-    square = np.square(fit.residual[window] * np.float32(1.0 / contrast)) * rim
-    local = local_ratio(square, rim, _MISFIT_SIGMAS * fit.sigma_mm / begin.spacing, 1e-3)
+    share = fit.shares[name]
+    rim = ((share > _RIM[0]) & (share < _RIM[1]) & fit.side(name) & begin.near).astype(np.float32)
+    square = np.square(fit.residual * np.float32(1.0 / contrast)) * rim
+    width = _MISFIT_SIGMAS * fit.sigma_mm / begin.spacing
+    local = local_ratio(square, rim, width, 1e-3, fit.boxes[name])[window]
     extra = np.sqrt(np.maximum(local - np.float32(noise**2), 0.0))
     slope = float(np.sqrt(2.0 * np.pi)) * fit.sigma_mm
     area = float(rim.sum(dtype=float)) * begin.grid.voxel_mm3 / (_RIM_WIDTHS * fit.sigma_mm)

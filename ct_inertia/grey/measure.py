@@ -30,7 +30,6 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
 
     Parameters
     ----------
-    labelled : Labelled
     coat : Coat, optional
         A soft coat on the bone, to be subtracted; None: not stated, bare bone is assumed.
 

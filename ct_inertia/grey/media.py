@@ -40,12 +40,7 @@ _NOTHING = 1e-7  # share of bone beyond which a coat is not followed: 5.2 widths
 
 @dataclass(frozen=True)
 class Coat:
-    """A soft coat of even thickness on bone; ``grey`` is its contrast over that of bone.
-
-    Attributes
-    ----------
-    thickness_mm, thickness_sd_mm, grey, grey_sd : float
-    """
+    """A soft coat of even thickness on bone; ``grey`` is its contrast over that of bone."""
 
     thickness_mm: float
     thickness_sd_mm: float
@@ -138,8 +133,7 @@ class Media:
 
     def soft_image(self, fit: SceneFit) -> Grey:
         """Return the grey values of the soft medium alone, where bodies leave room for it."""
-        if self.soft is None:
-            return np.zeros(self.image.shape, dtype=np.float32)
+        assert self.soft is not None  # noqa: S101 - asked for where there is one
         return np.asarray(self.soft * np.clip(1.0 - sum(fit.shares.values()), 0.0, 1.0), dtype=np.float32)
 
     def film_sd(self, fit: SceneFit) -> Grey:

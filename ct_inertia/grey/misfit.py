@@ -80,11 +80,8 @@ def misfits(fit: SceneFit, residual: Grey, voxel_mm3: float, moments: Moments) -
 
     Parameters
     ----------
-    fit : SceneFit
     residual : ndarray of float32, [z, y, x]
         In units of the stapes' contrast.
-    voxel_mm3 : float
-    moments : Moments
     """
     found = []
     noise = fit.start.noise / fit.contrasts["stapes"]
@@ -114,7 +111,6 @@ def gain_over_body(fit: SceneFit, residual: Grey, contrast: float) -> Grey | Non
 
     Parameters
     ----------
-    fit : SceneFit
     residual : ndarray of float32, [z, y, x]
         In units of the stapes' contrast.
     contrast : float

@@ -130,7 +130,6 @@ def blur_covariance(moments: Moments, sigma_mm: float, sd: float) -> Array:
 
     Parameters
     ----------
-    moments : Moments
     sigma_mm, sd : float
         Width of the blur and its relative standard deviation along any direction.
 

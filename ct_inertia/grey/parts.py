@@ -20,13 +20,11 @@ class StapesParts:
 
     Attributes
     ----------
-    fit : SceneFit
-    level : BoneLevel
     own : ndarray of bool, [z, y, x]
         The stapes' side of the borders to other bodies.
     excess : ndarray of float32, [z, y, x]
         Grey values less everything that is not the stapes.
-    soft : ndarray of float32, [z, y, x]
+    soft : ndarray of float32, [z, y, x], or None
         Soft medium that was subtracted.
     coat_sd : ndarray of float32, [z, y, x], or None
     """
@@ -35,7 +33,7 @@ class StapesParts:
     level: BoneLevel
     own: Mask
     excess: Grey
-    soft: Grey
+    soft: Grey | None
     coat_sd: Grey | None
 
     @classmethod
@@ -47,13 +45,12 @@ class StapesParts:
         level = bone_level(fit, excess * np.float32(1.0 / fit.contrasts["stapes"]))
         unit = np.float32(1.0 / level.contrast)
         excess *= unit
-        soft = fit.media.soft_image(fit)  # zeros that take no memory where there is none
         return cls(
             fit=fit,
             level=level,
             own=own,
             excess=excess,
-            soft=soft if fit.media.soft is None else np.where(own, soft * unit, zero),
+            soft=None if fit.media.soft is None else np.where(own, fit.media.soft_image(fit) * unit, zero),
             coat_sd=coat_sd_share(fit),
         )
 

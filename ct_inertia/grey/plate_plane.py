@@ -71,7 +71,6 @@ class FacePlane:
             In scan coordinates.
         stapes, plate, under : ndarray of bool, [z, y, x]
             On the grid; the last is near both.
-        grid : Grid
         """
         axes = grid.scan_from_index[:3, :3] / grid.spacing_mm
         planes = []

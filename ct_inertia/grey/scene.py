@@ -57,13 +57,10 @@ class SceneFit:
 
     Attributes
     ----------
-    start : Start
     data : ndarray of float32
         Grey values above air, what storing did to their mean undone.
     spread_mm2 : ndarray, (3, 3)
         Covariance of the blur along z, y, x, voxel included.
-    contrasts : dict of str to float
-    media : Media
     storing : Storing or None
     uneven : bool
         The blur differs by direction.
@@ -78,7 +75,7 @@ class SceneFit:
     boxes : dict of str to list of tuple of 3 slice
         The same, of what the blur of each body reaches.
     places : dict of str to ndarray of int, (n,)
-        Flat indices of the voxels near the stapes that belong to each body.
+        Flat indices of the voxels near the stapes that belong to each body, off the faces of the arrays.
     slopes : list of float
         Data over model inside the stapes, round by round: 1 where the contrast is settled.
     """
@@ -111,8 +108,11 @@ class SceneFit:
         for name, mask in start.masks.items():
             reached = start.distances[name] < np.float32(start.reach_mm)
             window = widened(used_box(start.near & reached), 1)
-            fit.boxes[name] = [_moved(box, window) for box in boxes_around(reached[window])]
-            fit.places[name] = np.flatnonzero(start.near & fit.side(name))
+            there, inner = np.zeros_like(reached), np.zeros_like(reached)
+            there[window] = reached[window]
+            inner[1:-1, 1:-1, 1:-1] = True  # all have neighbours
+            fit.boxes[name] = boxes_around(there)
+            fit.places[name] = np.flatnonzero(start.near & fit.side(name) & inner)
             fit.bodies[name], fit.levels[name] = mask.astype(np.float32), np.full(mask.shape, np.float32(0.5))
             fit.shares[name] = blur(fit.bodies[name], spread_mm2, start.spacing, fit.boxes[name])
         return fit
@@ -176,11 +176,6 @@ class SceneFit:
         above *= np.float32(1.0 / self.contrasts[name])
         above -= self.levels[name][box]
         return above
-
-
-def _moved(box: Slices, window: Slices) -> Slices:
-    z, y, x = (slice(a.start + w.start, a.stop + w.start) for a, w in zip(box, window, strict=True))
-    return z, y, x
 
 
 def fit_scene(start: Start, media: Media, storing: Storing | None = None) -> SceneFit:
@@ -277,7 +272,6 @@ def _adjust_blur(fit: SceneFit, late: bool) -> bool:
 
     Parameters
     ----------
-    fit : SceneFit
     late : bool
         An even blur has settled: if what it leaves asks for another in some direction, the blur is uneven.
 
@@ -295,7 +289,7 @@ def _adjust_blur(fit: SceneFit, late: bool) -> bool:
         free &= np.abs(fit.media.soft.ravel()[places]) < clear
     places = places[free] if np.count_nonzero(free) > _LEAST_FREE * len(places) else places
     shown = share.ravel()[places]
-    places = places[(shown > _BLURRED[0]) & (shown < _BLURRED[1]) & _is_inner(places, share.shape)]
+    places = places[(shown > _BLURRED[0]) & (shown < _BLURRED[1])]
     changes = _by_spread(share, places, fit.start.spacing)
     residual = fit.residual.ravel()[places] * np.float32(1.0 / fit.contrasts["stapes"])
     squares = (changes @ changes.T).astype(float)
@@ -312,12 +306,6 @@ def _adjust_blur(fit: SceneFit, late: bool) -> bool:
     np.fill_diagonal(spread, np.maximum(np.diag(spread), _LEAST_SPREAD * fit.start.spacing**2))
     fit.spread_mm2 = spread
     return bool(np.abs(step).max() < _BLUR_SETTLED * square)
-
-
-def _is_inner(places: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return whether flat indices (n,) lie off the faces of an array."""
-    index = np.unravel_index(places, shape)
-    return np.logical_and.reduce([(i > 0) & (i < n - 1) for i, n in zip(index, shape, strict=True)])
 
 
 def _by_spread(share: Grey, place: NDArray[np.intp], spacing: Array) -> Grey:

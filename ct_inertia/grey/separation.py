@@ -71,12 +71,9 @@ def bone_border(
 
     Parameters
     ----------
-    labelled : Labelled
-    begin : Start
     own : ndarray of bool, [z, y, x]
         The stapes' side of the border.
     levels : (air, bone)
-    moments : Moments
 
     Notes
     -----

@@ -43,7 +43,6 @@ class Start:
     ----------
     part : tuple of 3 slice
         The part of the box, z, y, x; all arrays below are [z, y, x] on it.
-    grid : Grid
     grey : ndarray of float32
     masks : mapping of str to ndarray of bool
         Bodies that are near, the stapes first, in the order in which they win what they share: other bone,
@@ -56,9 +55,6 @@ class Start:
         Whose voxel it is: 1 for the first body, 2 for the second, ...; 0 beyond the reach of all.
     near, far : ndarray of bool
         Where the model is compared with the grey values; air beyond all blur.
-    air, noise, air_sd, correlation : float
-    contrasts : mapping of str to float
-    sigma_mm : float
     face : FacePlane or None
         The face of a plate near the stapes; None without a plate that has one.
     """
@@ -96,7 +92,6 @@ def start(labelled: Labelled, plate_faces: Sequence[PlaneFace] = ()) -> Start:
 
     Parameters
     ----------
-    labelled : Labelled
     plate_faces : sequence of PlaneFace
         Those of the plate that look towards the stapes.
     """

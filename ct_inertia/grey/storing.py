@@ -270,7 +270,6 @@ def stored_level(
     Parameters
     ----------
     values : ndarray, (n,)
-    ends : Range
     noise : float, optional
         Its noise as another material shows it, known to a calibrated share.
     correlation : float

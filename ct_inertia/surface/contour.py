@@ -24,7 +24,6 @@ def contour(field: Grey, scan_from_index: Array, level: float = 0.0, largest: bo
         Higher inside. Where its border cuts the body, the surface is closed half a voxel outside.
     scan_from_index : ndarray, (4, 4)
         Index x, y, z of the field to scan coordinates, mm.
-    level : float
     largest : bool
         Keep the largest piece and its cavities only.
 

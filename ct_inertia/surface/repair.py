@@ -33,7 +33,6 @@ def read_mesh(path: Path | str, close: bool = False) -> Surface:
 
     Parameters
     ----------
-    path : Path or str
     close : bool
         Fill its holes; several open pieces are replaced by where their winding number passes one half.
 
@@ -96,7 +95,6 @@ def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Surfa
     faces : ndarray of int, (m, 3)
     name : str
         Of the file.
-    close : bool
 
     Returns
     -------

@@ -22,7 +22,6 @@ def capped_distance(mask: Mask, spacing_mm: Array, cap_mm: float) -> NDArray[np.
     mask : ndarray of bool, [z, y, x]
     spacing_mm : ndarray, (3,)
         Along x, y, z.
-    cap_mm : float
 
     Returns
     -------

@@ -14,7 +14,6 @@ Grey = NDArray[np.float32]
 
 _TRUNCATE = 4.3  # widths of the blur beyond which 2e-5 of it lies
 _ROWS = 16  # of a band matrix that are multiplied at a time: narrow bands, and BLAS starts no threads
-_LEAST_COARSE = 1.0  # voxels: cells of two voxels smooth by 0.96 themselves
 _HALO = 16  # voxels around boxes beyond which a blur does not reach into them: four of its widths
 _STEEP = 1e-3  # least slope of a field per voxel: below, a voxel is wholly above or below a level
 
@@ -25,7 +24,7 @@ def smooth(field: Grey, width: Array, boxes: list[Slices] | None = None) -> Grey
     Beyond the border the outermost voxels are repeated. One product with a band matrix along each axis, which
     is three times as fast as a convolution voxel by voxel. With ``boxes`` only in these: 0 elsewhere.
     """
-    bands = [_gaussian(size, _rounded(w)) for size, w in zip(field.shape, width, strict=True)]
+    bands = _bands(field.shape, width)
     if boxes is None:
         return _apply(field, bands, _whole(field.shape))
     result = np.zeros(field.shape, dtype=np.float32)  # zeros_like would touch all of the memory
@@ -104,22 +103,17 @@ def local_ratio(
     ----------
     top, bottom : ndarray of float32, [z, y, x]
     width : ndarray, (3,)
-        Standard deviation of the weights along z, y, x, voxels. Wide means are taken on cells of two voxels.
+        Standard deviation of the weights along z, y, x, voxels.
     least : float
         Least local mean of ``bottom``.
     boxes : list of tuple of 3 slice, optional
         Where the ratio is asked for; 0 elsewhere.
     """
-    coarse = bool(np.min(width) >= _LEAST_COARSE)
-    kind = _coarsening if coarse else _gaussian
-    down = [kind(size, _rounded(w)) for size, w in zip(top.shape, width, strict=True)]
-    up = [_refining(size) for size in top.shape]
     result = np.zeros(top.shape, dtype=np.float32)
+    bands = _bands(top.shape, width)
     for box in boxes or [_whole(top.shape)]:
-        cells = _source(up, box) if coarse else box
-        over, under = _apply(top, down, cells), _apply(bottom, down, cells)
-        ratio = np.where(under > least, over / np.maximum(under, np.float32(least)), np.float32(0.0))
-        result[box] = _apply(ratio, up, box, cells) if coarse else ratio
+        over, under = _apply(top, bands, box), _apply(bottom, bands, box)
+        np.divide(over, under, out=result[box], where=under > least)
     return result
 
 
@@ -156,83 +150,47 @@ def _whole(shape: tuple[int, ...]) -> Slices:
     return z, y, x
 
 
-def _source(bands: list[Band], box: Slices) -> Slices:
-    """Return what of a field the product with band matrices takes for a box of the result."""
-    z, y, x = (
+def _bands(shape: tuple[int, ...], width: Array) -> list[Band]:
+    # To four digits, so that matrices are made once.
+    return [_gaussian(size, float(f"{w:.4g}")) for size, w in zip(shape, width, strict=True)]
+
+
+def _apply(field: Grey, bands: list[Band], box: Slices) -> Grey:
+    """Multiply a field by one band matrix along each axis, for a box of the result."""
+    taken = tuple(
         slice(int(first[rows.start]), int(last[rows.stop - 1]))
         for (_, first, last, _), rows in zip(bands, box, strict=True)
     )
-    return z, y, x
-
-
-def _apply(field: Grey, bands: list[Band], box: Slices, held: Slices | None = None) -> Grey:
-    """Multiply a field, or the box of one that is held, by a band matrix along each axis, for a box of it."""
-    source = _source(bands, box)
-    begin = [0, 0, 0] if held is None else [along.start for along in held]
-    field = field[tuple(slice(s.start - k, s.stop - k) for s, k in zip(source, begin, strict=True))]
+    field = field[taken]
     for axis, (matrix, first, last, transposed) in enumerate(bands):
-        shape, rows, begins = list(field.shape), box[axis], source[axis].start
+        shape, rows, begins = list(field.shape), box[axis], taken[axis].start
         shape[axis] = rows.stop - rows.start
         result = np.empty(shape, dtype=np.float32)
         # Products of single planes: they fit the processor's cache.
-        taken, out = (field, result) if axis else (field.transpose(1, 0, 2), result.transpose(1, 0, 2))
+        source, out = (field, result) if axis else (field.transpose(1, 0, 2), result.transpose(1, 0, 2))
         for start in range(rows.start, rows.stop, _ROWS):
             some = slice(start, min(start + _ROWS, rows.stop))
             low, high = int(first[some.start]), int(last[some.stop - 1])
             near, to = slice(low - begins, high - begins), slice(start - rows.start, some.stop - rows.start)
             if axis < 2:
-                np.matmul(matrix[some, low:high], taken[:, near], out=out[:, to])
+                np.matmul(matrix[some, low:high], source[:, near], out=out[:, to])
             else:
-                np.matmul(taken[..., near], transposed[low:high, some], out=out[..., to])
+                np.matmul(source[..., near], transposed[low:high, some], out=out[..., to])
         field = result
     return field
 
 
-def _banded(matrix: Array) -> Band:
-    used = matrix != 0.0
-    first = np.argmax(used, axis=1)
-    last = matrix.shape[1] - np.argmax(used[:, ::-1], axis=1)
-    single = matrix.astype(np.float32)
-    return single, first, last, np.ascontiguousarray(single.T)
-
-
-def _rounded(width: float) -> float:
-    """Return a width to four digits, so that matrices are made once."""
-    return float(f"{width:.4g}")
-
-
-def _weights(centres: Array, size: int, width: float) -> Array:
-    """Return normalised Gaussian weights (rows, size) about places, the outermost voxels repeated beyond."""
+@lru_cache(maxsize=16)
+def _gaussian(size: int, width: float) -> Band:
+    """Return normalised Gaussian weights about each voxel, the outermost ones repeated beyond."""
     reach = int(np.ceil(_TRUNCATE * width)) + 1
-    place = np.arange(-reach, size + reach)
-    away = place[None, :] - centres[:, None]
+    away = np.arange(-reach, size + reach)[None, :] - np.arange(size)[:, None]
     bell = np.exp(-0.5 * (away / max(width, 1e-3)) ** 2) * (np.abs(away) <= max(_TRUNCATE * width, 0.75))
     bell /= bell.sum(axis=1, keepdims=True)
     matrix = bell[:, reach : reach + size].copy()
     matrix[:, 0] += bell[:, :reach].sum(axis=1)
     matrix[:, -1] += bell[:, reach + size :].sum(axis=1)
-    return matrix
-
-
-@lru_cache(maxsize=16)
-def _gaussian(size: int, width: float) -> Band:
-    return _banded(_weights(np.arange(size, dtype=float), size, width))
-
-
-@lru_cache(maxsize=16)
-def _coarsening(size: int, width: float) -> Band:
-    """Smooth to the middles of cells of two voxels; what refining smooths, two thirds, is left out here."""
-    narrow = np.sqrt(max(width**2 - 2.0 / 3.0, 0.25))
-    return _banded(_weights(np.arange(0.5, size, 2.0), size, narrow))
-
-
-@lru_cache(maxsize=16)
-def _refining(size: int) -> Band:
-    """Interpolate linearly between the middles of cells of two voxels."""
-    count = -(-size // 2)
-    place = np.clip((np.arange(size) - 0.5) / 2.0, 0.0, count - 1.0)
-    low = np.minimum(place.astype(int), max(count - 2, 0))
-    matrix = np.zeros((size, count))
-    matrix[np.arange(size), low] = 1.0 - (place - low)
-    matrix[np.arange(size), np.minimum(low + 1, count - 1)] += place - low
-    return _banded(matrix)
+    used = matrix != 0.0
+    single = matrix.astype(np.float32)
+    last = size - np.argmax(used[:, ::-1], axis=1)
+    return single, np.argmax(used, axis=1), last, np.ascontiguousarray(single.T)
