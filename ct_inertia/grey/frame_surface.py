@@ -9,7 +9,7 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.bone import BoneLevel
 from ct_inertia.grey.scene import SceneFit
 from ct_inertia.voxels.fields import local_ratio
-from ct_inertia.voxels.masks import hull, widened
+from ct_inertia.voxels.masks import boxes_around, grown, hull, widened
 
 _RIM = (0.05, 0.95)
 _RIM_WIDTHS = 3.29  # widths of the blur between these shares of a plane edge
@@ -45,11 +45,12 @@ def body_surface(
     window = widened(hull(fit.boxes[name]), 1)
     where = fit.side(name, window)
     shown = np.where(where, fit.above(name, window), np.float32(-1.0))
-    share = fit.shares[name]
-    rim = ((share > _RIM[0]) & (share < _RIM[1]) & fit.side(name) & begin.near).astype(np.float32)
-    square = np.square(fit.residual * np.float32(1.0 / contrast)) * rim
+    share = fit.shares[name][window]
+    edge = (share > _RIM[0]) & (share < _RIM[1]) & where & begin.near[window]
+    rim = edge.astype(np.float32)
+    square = np.square(fit.residual[window] * np.float32(1.0 / contrast)) * rim
     width = _MISFIT_SIGMAS * fit.sigma_mm / begin.spacing
-    local = local_ratio(square, rim, width, 1e-3, fit.boxes[name])[window]
+    local = local_ratio(square, rim, width, 1e-3, boxes_around(grown(edge)))
     extra = np.sqrt(np.maximum(local - np.float32(noise**2), 0.0))
     slope = float(np.sqrt(2.0 * np.pi)) * fit.sigma_mm
     area = float(rim.sum(dtype=float)) * begin.grid.voxel_mm3 / (_RIM_WIDTHS * fit.sigma_mm)
