@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from nibabel.orientations import apply_orientation, inv_ornt_aff, io_orientation
 from numpy.typing import NDArray
 
 from stapeskit.arrays import Array
@@ -33,6 +32,8 @@ Stroke = list[tuple[Box, Labels]]  # places, and what was there before
 
 def ras_view(array: NDArray[np.generic], scan_from_index: Array) -> NDArray[np.generic]:
     """Return a view [s, a, r] of an array [z, y, x]: superior, anterior and right, each ascending."""
+    from nibabel.orientations import apply_orientation
+
     turned: NDArray[np.generic] = apply_orientation(array.T, _orientation(scan_from_index))
     return turned.T
 
@@ -42,6 +43,8 @@ def ras_affine(scan_from_index: Array, shape: Sequence[int], step: int = 1) -> A
 
     Of a grid of a shape z, y, x, every ``step`` voxels of which are one of the picture.
     """
+    from nibabel.orientations import inv_ornt_aff
+
     index_from_view = inv_ornt_aff(_orientation(scan_from_index), tuple(shape[::-1]))
     view_from_picture = np.diag([step, step, step, 1.0])
     view_from_picture[:3, 3] = 0.5 * (step - 1)
@@ -50,6 +53,8 @@ def ras_affine(scan_from_index: Array, shape: Sequence[int], step: int = 1) -> A
 
 def _orientation(scan_from_index: Array) -> Array:
     """Return, as nibabel does, which axis of the picture each axis of a grid is nearest to, and its sense."""
+    from nibabel.orientations import io_orientation
+
     return np.asarray(io_orientation(np.diag([*RAS, 1.0]) @ scan_from_index))
 
 
