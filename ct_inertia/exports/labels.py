@@ -64,18 +64,9 @@ def write_crop(
 
     The format: https://teem.sourceforge.net/nrrd/format.html
 
-    Parameters
-    ----------
-    slabs : iterable of ndarray, [z, y, x]
-        Layers one behind the other.
-    shape : sequence of 3 int
-        Of all of them, z, y, x.
-    dtype : dtype
-        Integers of 8, 16 or 32 bits, or floating point numbers.
-    scan_from_index : ndarray, (4, 4)
-        Index x, y, z of the part to scan coordinates (LPS), mm.
-    keys : mapping of str to str, optional
-        Of labels, which are packed: long runs of one value, for which zlib looks only, which is fastest.
+    ``shape`` (z, y, x) is that of all slabs [z, y, x]; ``scan_from_index`` (4, 4) leads from an index x, y, z
+    of the part to scan coordinates (LPS, mm). What has ``keys`` are labels, which are packed: long runs of
+    one value, for which zlib looks only, which is fastest.
     """
     little = dtype.newbyteorder("<")
     kind = {"float32": "float", "float64": "double"}.get(little.name, little.name)

@@ -83,12 +83,7 @@ class Search:
 
 def choose(scan: Scan, overview: Overview, search: Search) -> tuple[Candidate, tuple[Notice, ...]]:
     """Choose the body that is most likely the stapes.
-
-    Returns
-    -------
-    Candidate
-    tuple of Notice
-        What speaks against it.
+    Returns also what speaks against it.
 
     Raises
     ------

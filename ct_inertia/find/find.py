@@ -30,11 +30,6 @@ def find_stapes(
 ) -> Labelled:
     """Find the stapes, other bone and the plate in a scan.
 
-    Parameters
-    ----------
-    progress : callable, optional
-        Called with a few words at the beginning of each stage.
-
     Raises
     ------
     StapeskitError

@@ -38,11 +38,7 @@ def read_labels(
 ) -> tuple[Labels, list[Notice]]:
     """Read labels with the numbers of the results; islands of the stapes are background.
 
-    Returns
-    -------
-    ndarray of uint8, [z, y, x]
-        0 background, 1 stapes, 2 plate, 3 other bone.
-    list of Notice
+    Labels [z, y, x]: 0 background, 1 stapes, 2 plate, 3 other bone.
 
     Raises
     ------
@@ -121,16 +117,8 @@ def body_numbers(
 ) -> tuple[int, int | None]:
     """Return the numbers of the stapes and of the plate (None: there is none) in a label volume.
 
-    Parameters
-    ----------
-    names : mapping of int to str
-        Names of its segments; they win over the usual numbers 1 and 2.
-    present : sequence of int
-        Numbers that occur in it, without 0.
-    stapes, plate : int or None
-        Numbers that the user gave; they win over names.
-    where : str
-        Name of the file.
+    Numbers that the user gave (``stapes``, ``plate``) win over names, and names over the usual numbers 1 and
+    2. ``present``: numbers that occur, without 0; ``where``: the file.
 
     Raises
     ------

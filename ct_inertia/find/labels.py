@@ -53,8 +53,6 @@ def label_stapes(
         The grey values that they were drawn on: the same grid, or a larger one.
     stapes_label, plate_label : int, optional
         Numbers of the bodies; None: by the names of the segments, else 1 and 2.
-    progress : callable, optional
-        Called with a few words at the beginning of each stage.
 
     Raises
     ------

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.find.levels import material_levels
@@ -28,6 +27,7 @@ _LEAST_BOX = 4  # sides in coarse voxels of a box of one value, which noise neve
 _EDGE_VOXELS = 8  # edge of padding that was smoothed or resampled with the picture
 _AIR_BEHIND = 0.8  # share of air behind it; behind the edges of bodies it is bone and plastic
 _AS_AIR = 3.0  # deviations of noise from the level of air within which a constant is air
+_ENOUGH = 1_000_000  # grey values from which the shares of single ones follow
 _PILED, _BESIDE = 5.0, 3  # a value is piled up by so many times the mean of so many next ones on either side
 _NEAR, _TAIL = 0.01, 0.1  # of the contrast, from a constant: the last and the whole of what fades into it
 _FADING, _CLIPPED = 0.2, 0.03  # voxels near it over those in its tail: 0.5 where blur fades, 0.1 at random
@@ -174,8 +174,7 @@ def _is_padding(grey: Grey, value: float, outside: Mask, levels: Array, near: fl
     """
     if abs(value - levels[0]) < near:
         dark = grey[grey < 0.5 * (levels[0] + levels[-1])]
-        values, counts = np.unique(dark, return_counts=True)
-        return is_set(values, counts, int(np.searchsorted(values, value)), float(levels[-1] - levels[0]))
+        return is_set(dark, float(levels[-1] - levels[0]), value) is not None
     around = grey[grown(outside) & ~outside][:, None]
     at_material = np.min(np.abs(around - levels.astype(np.float32)), axis=1) < near
     at_itself = np.abs(around[:, 0] - np.float32(value)) < near
@@ -190,20 +189,24 @@ def _is_padding(grey: Grey, value: float, outside: Mask, levels: Array, near: fl
     return bool(np.mean(nearest == 0) > _AIR_BEHIND) if behind.size else False
 
 
-def is_set(values: Array, counts: NDArray[np.int64], place: int, contrast: float) -> bool:
-    """Return whether one of the grey values (n,) of air, with their counts, was set and not measured.
+def is_set(dark: Grey, contrast: float, value: float | None = None) -> tuple[float, float] | None:
+    """Return a grey value of air, the commonest if none is given, and its share; None where it was measured.
 
     Air with noise has no value that stands out of its neighbours. One that does is clipped where it is the
-    lowest and others lie next to it, and without noise where edges fade into it.
+    lowest and others lie next to it, and without noise where edges fade into it; else it was set.
     """
+    values, counts = np.unique(dark[:: max(1, dark.size // _ENOUGH) | 1], return_counts=True)
     if values.size < 2 * _BESIDE + 1:
-        return False
+        return None
+    place = int(np.argmax(counts)) if value is None else int(np.argmin(np.abs(values - value)))
     beside = np.delete(counts[max(0, place - _BESIDE) : place + _BESIDE + 1], min(place, _BESIDE))
     away = np.abs(values - values[place])
     near = max(_NEAR * contrast, 1.5 * float(np.diff(values).min()))
     at_it, in_tail = (int(counts[(away > 0.0) & (away < end)].sum()) for end in (near, _TAIL * contrast))
     natural = at_it > (_CLIPPED if place == 0 else _FADING) * (in_tail - at_it)
-    return bool(counts[place] > _PILED * beside.mean() and not natural)
+    if natural or counts[place] < _PILED * beside.mean():
+        return None
+    return float(values[place]), float(counts[place] / counts.sum())
 
 
 def _constants(grey: Grey) -> Iterator[tuple[float, Mask]]:

@@ -162,10 +162,6 @@ def check_background(box: Box, stapes: Mask, bodies: Mask, air: float, bone: flo
     ------
     StapeskitError
         The blur of the stapes, or the air around it, is not in the scan.
-
-    Notes
-    -----
-    See `is_set`.
     """
     collar = stapes
     for _ in range(_COLLAR_VOXELS):
@@ -175,23 +171,14 @@ def check_background(box: Box, stapes: Mask, bodies: Mask, air: float, bone: flo
     lost = 1.0 - float(np.mean(measured[collar])) if collar.any() else 0.0
     got = f"a constant in {100.0 * lost:.0f} % of the voxels next to it"
     if lost <= _MOST_UNMEASURED:
-        dark = box.stored[measured & ~bodies & (box.grey < 0.5 * (air + bone))].astype(float)
-        value, share = _set_value(dark, bone - air)
-        got = f"{value:g} in {100.0 * share:.0f} % of the voxels around it"
-        if share <= _LEAST_SET:
+        dark = box.stored[measured & ~bodies & (box.grey < 0.5 * (air + bone))]
+        found = is_set(dark.astype(np.float32), bone - air)
+        if found is None or found[1] <= _LEAST_SET:
             return
+        got = f"{found[0]:g} in {100.0 * found[1]:.0f} % of the voxels around it"
     raise StapeskitError.of(
         "the scan",
         "one that shows the air around the stapes and the blur of its edges",
         f"{got}: a program has set the background, or the field of view is as narrow as the bone",
         next_step="Give the scan as it was reconstructed; --labels takes a segmentation of it",
     )
-
-
-def _set_value(dark: Array, contrast: float) -> tuple[float, float]:
-    """Return the commonest of dark grey values (n,) and its share; 0 where it was not set."""
-    values, counts = np.unique(dark, return_counts=True)
-    most = int(np.argmax(counts)) if values.size else 0
-    if values.size == 0 or not is_set(values, counts, most, contrast):
-        return 0.0, 0.0
-    return float(values[most]), float(counts[most] / dark.size)

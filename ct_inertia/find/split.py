@@ -80,16 +80,8 @@ def splits(
     scan: Scan, overview: Overview, whole: Piece, reading: Reading, around_mm: Array | None = None
 ) -> Iterator[Split]:
     """Split one piece of the first look, on a finer grid, in every way that necks and gaps suggest.
-
-    Parameters
-    ----------
-    around_mm : ndarray, (3,), optional
-        A point in scan coordinates: only what lies within 4 mm of it is looked at.
-
-    Yields
-    ------
-    Split
-        Necks of the whole first; nothing where it is too large for a grid on which gaps are seen.
+    Necks of the whole come first; nothing where it is too large for a grid on which gaps are seen. Only what
+    lies within 4 mm of ``around_mm`` (3,), a point in scan coordinates, is looked at.
     """
     low, high = whole.voxels
     if around_mm is not None:

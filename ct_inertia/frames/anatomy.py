@@ -82,13 +82,7 @@ def orient_long_axis(
     x_axis, y_axis : ndarray, (3,)
         Long axis of either sign, and the piston direction (lateral), unit vectors in scan axes.
 
-    Returns
-    -------
-    sign : float
-        +1 when the given axis points anterior.
-    evidence : str
-        What decided.
-    notices : list of Notice
+    Returns +1 when the given axis points anterior, what decided, and notices.
 
     Raises
     ------
@@ -207,17 +201,7 @@ def directions(side: str | None, anterior_known: bool) -> dict[str, str]:
 def in_array_words(direction: Array, grid: Array) -> str:
     """Say where a direction (3,) in scan axes points on the voxel array, by the axes it is nearest to.
 
-    Parameters
-    ----------
-    direction : ndarray, (3,)
-    grid : ndarray, (3, 3)
-        Directions of the array's x, y, z axes in scan coordinates, in columns.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> in_array_words(np.array([0.9, -0.4, 0.1]), np.eye(3))
-    'rising x (columns), falling y (rows)'
+    ``grid`` (3, 3) holds the directions of the array's x, y, z axes in scan coordinates, in columns.
     """
     along = direction @ grid
     words = ("x (columns)", "y (rows)", "z (slices)")
@@ -233,14 +217,7 @@ def option_for(direction: Array) -> str:
 def anterior_words(frame: RigidTransform, grid: Array | None, anterior_from: str) -> tuple[str, str]:
     """Say where anterior was taken to be, and the option to paste for the other choice.
 
-    Parameters
-    ----------
-    frame : RigidTransform
-        scan_from_footplate.
-    grid : ndarray, (3, 3), or None
-        Directions of the voxel array; None for a mesh.
-    anterior_from : str
-        What decided.
+    ``frame`` is scan_from_footplate; ``grid`` (3, 3): see `in_array_words`, None for a mesh.
     """
     x_axis = frame.rotation[:, 0]
     scan = ", ".join(f"{value:+.2f}" for value in x_axis)

@@ -109,14 +109,7 @@ class Solved:
 def solve_at(surface: Surface, outward: Array, extent_mm: float, body: BodySurface | None = None) -> Solved:
     """Solve for the face at one extremity, in a region deep enough to hold the face whole.
 
-    Parameters
-    ----------
-    outward : ndarray, (3,)
-        About -y, unit.
-    extent_mm : float
-        Diameter of the body.
-    body : BodySurface, optional
-        How the surface errs; None: not at all.
+    ``outward`` (3,), unit, is about -y; ``extent_mm``: diameter of the body; ``body``: how the surface errs.
 
     Raises
     ------

@@ -40,10 +40,7 @@ _MESH_BLUR = calibrated("footplate.mesh_blur")
 def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Array]:
     """Return the covariance of the frame by source, (6, 6) each, SI.
 
-    Parameters
-    ----------
-    body : BodySurface or None
-        How its surface errs; None: a mesh of which nothing is known but its triangles.
+    ``body``: how the surface errs; None: a mesh of which nothing is known but its triangles.
 
     Notes
     -----

@@ -89,14 +89,8 @@ def masses_by_way(
 ) -> dict[str, MassProperties]:
     """Return the mass properties of the bone by every way that was given, the leading one first.
 
-    Parameters
-    ----------
-    moments : Moments
-        Of the grey values, or of the closed surface where there are none.
-    density, mass_mg : WithSd or None
-        kg/m3 and mg. Where nothing is given a density is assumed.
-    measured : MeasuredBody or None
-        With the grey values that a calibration needs.
+    Densities in kg/m3, masses in mg; where nothing is given a density is assumed. ``measured`` has the grey
+    values that a calibration needs.
 
     Raises
     ------

@@ -93,14 +93,7 @@ def pictured_of(result: MassResult) -> Pictured:
 def pictured_from(folder: Path, content: Mapping[str, Any], scan: Path | None = None) -> Pictured:
     """Return what the pictures need from the files of a result and the scan that it came from.
 
-    Parameters
-    ----------
-    folder : Path
-        Of mass.json.
-    content : mapping
-        Of mass.json.
-    scan : Path, optional
-        Without it there are no pictures of slices.
+    ``content`` is that of the mass.json in the folder; without the scan there are no pictures of slices.
 
     Raises
     ------

@@ -111,14 +111,8 @@ def _plane(
 ) -> None:
     """Draw grey values and outlines in a plane.
 
-    Parameters
-    ----------
-    frame : RigidTransform
-        From the axes that the plane is given in to the scan.
-    plane : (int, int, int, float)
-        Axes to the right, up and along the normal, and the height along that.
-    ends : ndarray, (2, 3)
-        First and last place shown along each axis.
+    ``plane``: axes of ``frame`` to the right, up and along the normal, and the height along that; ``ends``
+    (2, 3): first and last place shown along each axis.
     """
     from scipy.ndimage import map_coordinates
 

@@ -46,11 +46,6 @@ def open_scan(
     raw : RawLayout, optional
         How voxels lie in a file without a header.
 
-    Returns
-    -------
-    Scan
-        Its voxels are read when they are asked for.
-
     Raises
     ------
     StapeskitError
@@ -72,13 +67,7 @@ def open_labels(
     """Read a label volume of any format as a whole; for the rest see `open_scan`.
 
     ``spacing_mm`` is that of the scan, for a label file without one: its own wins.
-
-    Returns
-    -------
-    ndarray of int, [z, y, x]
-        The labels.
-    Scan
-        Their grid, with the names of the segments.
+    Returns labels [z, y, x] and their grid, with the names of the segments.
 
     Raises
     ------

@@ -146,14 +146,7 @@ def _times(numbers: Iterable[int]) -> str:
 def plane_reader(planes: Sequence[tuple[Path, int]], shape: tuple[int, ...], dtype: np.dtype[Any]) -> Fetch:
     """Return a function that reads boxes of raw voxels; no map: a file that shrinks is an error.
 
-    Parameters
-    ----------
-    planes : sequence of (Path, int)
-        File of each plane, and the byte at which it begins there.
-    shape : tuple of 3 int
-        Voxels along z, y, x.
-    dtype : dtype
-        As stored.
+    ``planes``: file of each plane, and the byte at which it begins there; ``shape`` along z, y, x.
     """
     width = shape[2]
 

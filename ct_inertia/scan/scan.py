@@ -143,16 +143,8 @@ class Scan:
     def read(self, box: Box | None = None) -> NDArray[Any]:
         """Read a part of the scan in its own type.
 
-        Parameters
-        ----------
-        box : tuple of 3 slice, optional
-            Along z, y, x, with positive steps, clipped as numpy does; the whole scan without it.
-
-        Returns
-        -------
-        ndarray, [z, y, x]
-            A new array in the byte order of the machine. Steps read only every so manieth voxel: planes that
-            are stepped over are not unpacked.
+        The box (slices z, y, x) is clipped as numpy does; without it the whole scan is read. Returns a new
+        array [z, y, x] in the byte order of the machine. Planes that steps leave out are not unpacked.
 
         Raises
         ------
@@ -166,18 +158,8 @@ class Scan:
     def slabs(self, planes: int = 1, box: Box | None = None) -> Iterator[tuple[int, NDArray[Any]]]:
         """Read a box slab by slab along z, so that the whole scan is never held.
 
-        Parameters
-        ----------
-        planes : int
-            Planes of a slab but the last; some megabytes are read at a time, and whole `chunk_planes`.
-        box : tuple of 3 slice, optional
-            Along z, y, x; the whole scan without it.
-
-        Yields
-        ------
-        int
-            Position of the slab's first plane among the planes of the box.
-        ndarray, [z, y, x]
+        Yields the position of the slab's first plane among those of the box, and the slab [z, y, x] of so
+        many planes, the last of fewer; some megabytes are read at a time, and whole `chunk_planes`.
         """
         every, *rest = self._ranges(box)
         plane = len(rest[0]) * len(rest[1]) * self.dtype.itemsize
