@@ -81,14 +81,13 @@ def test_a_tube_alone_is_no_plate(tmp_path):
 
 
 def test_a_drop_of_glue_on_the_head_is_subtracted_and_named():
-    """What is left of it, 0.4 %, is more than the budget says, and less than any density is known to."""
     corners = Ear().solid.vertices_mm
     top = corners[np.argmax(corners[:, 1])]
     scan, placed = scanned((ellipsoid(top + np.array([0.0, 0.05, 0.0]), (0.35, 0.25, 0.3)), "soft"))
     found = measure(find_stapes(scan))
     assert "soft_surroundings" in {notice.code for notice in found.notices}
     exact = true_moments(placed).volume_mm3
-    assert abs(found.moments.volume_mm3 - exact) < 4e-3 * exact
+    assert abs(found.moments.volume_mm3 - exact) < 3.0 * found.moments.volume_sd_mm3 < 0.01 * exact
 
 
 @pytest.mark.parametrize(("below", "value"), [(10_000, 0), (7_000, 0), (12_000, 4_000), (10_000, 15_000)])
