@@ -70,12 +70,7 @@ class _Work:
 
 
 def measure_mass(options: MassOptions, progress: Progress = no_progress) -> MassResult:
-    """Find the stapes, its frames and its mass matrix.
-
-    Parameters
-    ----------
-    progress : callable
-        Called with the stage at work.
+    """Find the stapes, its frames and its mass matrix; ``progress`` is told the stage at work.
 
     Raises
     ------

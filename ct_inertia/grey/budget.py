@@ -65,16 +65,8 @@ def amounts_of(
 ) -> Iterator[Amount]:
     """Yield every uncertain amount of bone.
 
-    Parameters
-    ----------
-    misfit : bool
-        Whether the scene's residual is significant.
-    unstated : ndarray of float32, [z, y, x], or None
-        What a coat that nobody stated would take off.
-    bend : float
-        Of the grey scale.
-    gain : ndarray of float32, [z, y, x], or None
-        By how much the level of bone departs from its mean.
+    ``misfit``: the residual is significant; ``unstated``: what a coat that nobody stated would take off,
+    ``gain``: by how much the level of bone departs from its mean, [z, y, x]; ``bend``: of the grey scale.
     """
     fit, media, contrast = parts.fit, parts.fit.media, parts.level.contrast
     bone_sd = float(np.hypot(parts.level.sd, 0.0 if fit.storing is None else fit.storing.bone_sd))

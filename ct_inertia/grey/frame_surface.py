@@ -23,12 +23,8 @@ def body_surface(
 ) -> BodySurface:
     """Return the surface of the stapes, or of other bone near it.
 
-    Parameters
-    ----------
-    doubt : ndarray of float32, [z, y, x], optional
-        One standard deviation of what was subtracted, as a share of bone.
-    misfit_mm3 : float
-        What the residual by place leaves of the volume: a shift of all of the surface.
+    ``doubt``: one standard deviation of what was subtracted, as a share of bone, [z, y, x]; ``misfit_mm3``:
+    what the residual by place leaves of the volume, a shift of all of the surface.
 
     Notes
     -----

@@ -141,8 +141,7 @@ class Media:
 
         They are means over some widths of the blur: they err by what they change by over one such width.
         """
-        if self.soft is None:
-            return np.zeros_like(self.image)
+        assert self.soft is not None  # noqa: S101 - asked for where there is one
         bodies = np.asarray(sum(fit.shares.values()))
         slopes = np.gradient(self.soft, *fit.start.spacing)
         steep = np.sqrt(sum(np.square(slope) for slope in slopes)) * _MEDIUM_SIGMAS * fit.sigma_mm

@@ -123,14 +123,8 @@ class FacePlane:
     def changes(self, fit: SceneFit) -> tuple[list[Grey], Array, Array]:
         """Return how the plate's image changes with height and tilts of the plane.
 
-        Returns
-        -------
-        changes : list of 3 ndarray of float32, [z, y, x]
-            Grey values per mm of height and per rad of two tilts.
-        basis : ndarray, (2, 3)
-            Directions z, y, x along which the tilted plane rises.
-        middle : ndarray, (3,)
-            Point z, y, x, mm, about which it tilts.
+        Three images [z, y, x], grey values per mm of height and per rad of two tilts; directions z, y, x
+        (2, 3) along which the tilted plane rises; the point z, y, x (3,), mm, about which it tilts.
 
         Notes
         -----

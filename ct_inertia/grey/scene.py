@@ -61,7 +61,6 @@ class SceneFit:
         Grey values above air, what storing did to their mean undone.
     spread_mm2 : ndarray, (3, 3)
         Covariance of the blur along z, y, x, voxel included.
-    storing : Storing or None
     uneven : bool
         The blur differs by direction.
     calm : ndarray of float32
@@ -70,10 +69,8 @@ class SceneFit:
         Of the data, less the model.
     shares, bodies, levels : dict of str to ndarray of float32
         Blurred share, sharp share and local level of each body.
-    near : list of tuple of 3 slice
-        Boxes around what is near the stapes.
-    boxes : dict of str to list of tuple of 3 slice
-        The same, of what the blur of each body reaches.
+    near, boxes : list of tuple of 3 slice, dict of such lists
+        Boxes around what is near the stapes, and around what the blur of each body reaches.
     places : dict of str to ndarray of int, (n,)
         Flat indices of the voxels near the stapes that belong to each body, off the faces of the arrays.
     slopes : list of float

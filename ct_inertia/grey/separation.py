@@ -69,11 +69,7 @@ def bone_border(
 ) -> BoneBorder:
     """Return where the border runs through bone, and what that leaves uncertain.
 
-    Parameters
-    ----------
-    own : ndarray of bool, [z, y, x]
-        The stapes' side of the border.
-    levels : (air, bone)
+    ``own``: the stapes' side of the border, [z, y, x]; ``levels``: of air and bone.
 
     Notes
     -----

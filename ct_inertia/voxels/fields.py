@@ -97,17 +97,10 @@ def _along_diagonal(
 def local_ratio(
     top: Grey, bottom: Grey, width: Array, least: float, boxes: list[Slices] | None = None
 ) -> Grey:
-    """Return the local mean of ``top`` over that of ``bottom``, 0 where hardly any of ``bottom`` is near.
+    """Return the local mean of ``top`` over that of ``bottom`` [z, y, x], 0 where the latter is too small.
 
-    Parameters
-    ----------
-    top, bottom : ndarray of float32, [z, y, x]
-    width : ndarray, (3,)
-        Standard deviation of the weights along z, y, x, voxels.
-    least : float
-        Least local mean of ``bottom``.
-    boxes : list of tuple of 3 slice, optional
-        Where the ratio is asked for; 0 elsewhere.
+    ``width`` (3,): standard deviation of the weights along z, y, x, voxels; ``least`` local mean of
+    ``bottom``; ``boxes``: where the ratio is asked for, 0 elsewhere.
     """
     result = np.zeros(top.shape, dtype=np.float32)
     bands = _bands(top.shape, width)
