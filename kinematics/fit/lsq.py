@@ -192,7 +192,7 @@ def _weighted(basis: Array, y: ComplexArray, noise: Array) -> tuple[ComplexArray
     ridge = 1e-14 * np.where(trace > 0.0, trace, 1.0)
     inverse = np.linalg.inv(gram + ridge[:, None, None] * np.eye(size))
     condition = np.linalg.norm(inverse, axis=(1, 2)) * trace
-    good = condition < _CONDITION
+    good = (condition < _CONDITION) & (trace > 0.0)  # lines without values determine nothing
     z, left = np.zeros((size, lines), dtype=complex), y
     for _ in range(2):
         z = z + np.einsum("lij,jl->il", inverse, _times(basis.T, w * left))
