@@ -207,18 +207,24 @@ def ratios(measurement: Measurement) -> Iterator[Notice]:
 
 
 def phases(measurement: Measurement) -> Iterator[Notice]:
-    """Look whether no phase is larger than a turn in another unit, or all are 0, as of magnitudes alone."""
-    wide = measurement.freq_hz[-1] > _WIDE_BAND * measurement.freq_hz[0]
-    for body in measurement.bodies if wide else ():
-        phase = np.abs(np.rad2deg(np.angle(_known(body))))
-        largest = float(np.max(phase, initial=0.0)) / (1.0 + 1e-6)
-        if phase.size > LEAST_VALUES and largest == 0.0:
+    """Look whether no phase is larger than a turn in another unit, or all are 0, as of magnitudes alone.
+
+    A unit is that of all bodies: the base of an ear may move in phase with the reference, or be it.
+    """
+    if measurement.freq_hz[-1] <= _WIDE_BAND * measurement.freq_hz[0]:
+        return
+    largest, count = 0.0, 0
+    for body in measurement.bodies:
+        known = _known(body)
+        turned = float(np.max(np.abs(np.rad2deg(np.angle(known))), initial=0.0))
+        if turned == 0.0 and known.size > LEAST_VALUES and np.any(known != known[0]):
             text = f"all values of body {body.body} are real and positive"
             yield _unit_slip(text, "They look like magnitudes without their phases")
-        for half_turn, unit in _HALF_TURNS if phase.size > LEAST_VALUES else ():
-            if 0.5 * half_turn < largest <= half_turn:
-                text = f"all phases of body {body.body} lie within {half_turn:.5g} degrees"
-                yield _unit_slip(text, f"They look like {unit} in a column of degrees")
+        largest, count = max(largest, turned / (1.0 + 1e-6)), count + known.size
+    for half_turn, unit in _HALF_TURNS if count > LEAST_VALUES else ():
+        if 0.5 * half_turn < largest <= half_turn:
+            text = f"all phases lie within {half_turn:.5g} degrees"
+            yield _unit_slip(text, f"They look like {unit} in a column of degrees")
 
 
 def decibels(measurement: Measurement) -> Iterator[Notice]:

@@ -92,6 +92,21 @@ def test_phases_that_no_column_of_degrees_holds_are_named(ear, turns):
     assert "unit_slip" in codes(with_values(ear, as_degrees))
 
 
+@pytest.mark.parametrize("sd_deg", [0.0, 0.1, 0.3, 1.0])
+def test_a_base_in_phase_with_the_reference_is_sound(ear, sd_deg):
+    """One direction of a shaker, phases over an accelerometer on the base, or responses over the base."""
+    stapes, base = ear.bodies
+    draws = np.random.default_rng(1).standard_normal(base.value.shape)
+    value = 5e-4 * np.exp(1j * np.deg2rad(sd_deg * draws))
+    assert codes(replace(ear, bodies=(stapes, replace(base, value=value)))) == set()
+
+
+def test_magnitudes_of_one_body_without_phases_are_named(ear):
+    stapes, base = ear.bodies
+    bare = replace(base, value=np.abs(base.value).astype(complex))
+    assert "unit_slip" in codes(replace(ear, bodies=(stapes, bare)))
+
+
 def test_units_of_frequencies(ear):
     assert "unit_slip" in codes(replace(ear, freq_hz=ear.freq_hz * 1e-3))
 
