@@ -12,6 +12,7 @@ with app.setup:
     import shlex
     import sys
     import traceback
+    import webbrowser
     from html import escape
     from pathlib import Path
 
@@ -27,6 +28,7 @@ with app.setup:
     from fitting.options import COMPARE, DAMPING, KDOptions
     from pipeline.new_study import LAYOUT, SPACING
     from stapeskit.command import fault_sentence
+    from stapeskit.faults import StapeskitError
     from stapeskit.report import page
 
     folder = Path(mo.cli_args()["folder"] if mo.running_in_notebook() else ".").absolute()
@@ -211,6 +213,13 @@ def fit_controls():
     dof = next(entry for entry in KDOptions.entries() if entry.key == "dof").default
     laws = [*DAMPING, COMPARE]
     other = mo.ui.dropdown(session.other_results(), label="beside it", allow_select_none=True)
+
+    def open_report():
+        path = session.study.out / "report.html"
+        if not path.is_file():
+            raise StapeskitError("There is no report yet: press Fit first.")
+        webbrowser.open(path.as_uri())
+
     fit_step = listed(
         mo.ui.text(as_words(stated("fit", "dof") or ",".join(dof)), label="degrees of freedom",
                    on_change=lambda words: put("fit", "dof", words)),
@@ -221,7 +230,7 @@ def fit_controls():
                    on_change=lambda words: put("fit", "exclude_hz", list(filter(None, words.split(","))))),
         ticks("study", "confirmed", "checked and right"),
         step_button("Fit", "fit"),
-        other,
+        beside(button("Open the report", open_report), other),
     )  # fmt: skip
     return fit_step, other
 
@@ -292,6 +301,7 @@ def layout_results(other):
 
         found = compare(session.study.out, session.study.out.with_name(other.value))
         _parts.append(mo.Html(page.table(("", "this", other.value, "difference", "p"), found.rows())))
+        _parts.append(mo.Html(page.text(found.remark)))
 
     if session.mass:
         _parts.append(mo.Html(tables.mass_table(session.mass)))
@@ -302,7 +312,7 @@ def layout_results(other):
             _parts.append(mo.Html(page.text("The study has changed since: Look at it, or Fit, again.")))
         if _report != session.study.points:
             _again = f"All results: {_report.parent}. Again: scan2kd {shlex.quote(str(session.study.path))}"
-            _curves = tables.curves(session.content("fit").get("responses", ()))
+            _curves = tables.curves(session.responses)
             _parts += [mo.Html(page.text(_again)), mo.hstack(_curves, wrap=True, justify="start")]
         _parts.append(mo.iframe(_report.read_text(encoding="utf-8", errors="replace"), height="90vh"))
     mo.vstack(_parts)

@@ -193,6 +193,12 @@ class Session:
         return _content(self.study.kept / f"{name}.json")
 
     @property
+    def responses(self) -> list[dict[str, Any]]:
+        """The curves of the fit; none where K and D are now those of another one, made by scan2kd."""
+        drawn, now = self.content("fit"), _content(self.study.out / "kd.json")
+        return drawn["responses"] if "of" in drawn and drawn["of"] == now.get("fit") else []
+
+    @property
     def report(self) -> Path | None:
         """The page that a step has written last: of the measurement, or of the whole study."""
         pages = [one for one in (self.study.points, self.study.out / "report.html") if one.is_file()]

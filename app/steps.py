@@ -141,7 +141,9 @@ def fit(study: StudyFile) -> None:
     from pipeline.run import run_study
 
     fitted = run_study(study.path, study.out, progress=_tell, tell=_warn).fit
-    OwnFile(study.kept / "fit.json").write(json.dumps({"responses": response_rows(fitted)}))
+    kd = json.loads((study.out / "kd.json").read_text(encoding="utf-8"))
+    content = {"of": kd["fit"], "responses": response_rows(fitted)}
+    OwnFile(study.kept / "fit.json").write(json.dumps(content))
 
 
 def response_rows(result: KDFit) -> list[dict[str, Any]]:

@@ -83,7 +83,8 @@ def versions() -> dict[str, str]:
         with suppress(metadata.PackageNotFoundError):
             # Its line alone: the standard library parses descriptions as mails, a tenth of a second in all.
             text = metadata.distribution(name).read_text("METADATA") or ""
-            found[name] = re.findall(r"^Version: (\S+)", text, re.MULTILINE)[0]
+            line = re.search(r"^Version: (\S+)", text, re.MULTILINE)
+            found[name] = line[1] if line else metadata.version(name)
     return found
 
 

@@ -263,7 +263,7 @@ class _Reader:
             if block in _OPTIONAL and self.get(block) in (None, {}):
                 continue
             if scale is None:
-                if stated != value:
+                if stated != value and (stated is not None or not path.startswith(_POSE)):
                     self.fault(path, ", ".join(value) if isinstance(value, list) else f'"{value}"', stated)
                 continue
             array = self.array(path, stated, np.shape(value))

@@ -165,11 +165,13 @@ def test_scan2kd_repeats_the_numbers_of_a_corrected_study_to_the_last_digit(sess
     assert abs(value - truth.stiffness_si[0, 0]) < 3.5 * sd
     reasons = [reason["code"] for reason in ours["verdict"]["reasons"]]
     assert session.choices("study", "confirmed") == (reasons, [])
-    assert len(session.content("fit")["responses"]) == 2 * 3 * 24
+    assert len(session.responses) == 2 * 3 * 24
     left_out = [name for name in session.choices("ldv", "leave_out")[0] if name.count(":") == 2][:1]
     assert not session.report_is_old
     session.study.put("ldv", leave_out=left_out)
     assert session.report_is_old
+    scan2kd(session.study.path, out=session.study.out)
+    assert session.responses == []  # those of the fit before
     run(session, "points")
     assert session.choices("ldv", "leave_out")[1] == left_out
 

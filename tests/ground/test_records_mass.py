@@ -130,6 +130,12 @@ def test_a_record_without_plate_contributions_and_optional_blocks_is_read(raw: d
     assert list(read.mass_matrix.contributions) == ["unspecified"]
 
 
+def test_words_about_the_covariance_of_a_pose_can_be_left_out(raw: dict, record: MassRecord) -> None:
+    for pose in raw["frames"]["pose_covariance"].values():
+        del pose["names"], pose["convention"]
+    assert np.array_equal(mass_record(raw).footplate_covariance, record.footplate_covariance)
+
+
 def test_another_density_keeps_the_hash_of_the_frames(raw: dict) -> None:
     other = copy.deepcopy(raw)
     other["inertial_parameters"]["values_si"][0] *= 1.1

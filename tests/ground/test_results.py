@@ -4,10 +4,12 @@ import subprocess
 import sys
 import textwrap
 from dataclasses import dataclass
+from importlib.metadata import PathDistribution
 
 import matplotlib
 import pandas as pd
 
+from stapeskit.provenance import versions
 from stapeskit.report.figures import panels, style
 from stapeskit.results import Result
 from stapeskit.warnings import Notice
@@ -84,3 +86,10 @@ def test_plot_returns_a_figure_of_matplotlib_and_leaves_its_settings_alone():
     assert dict(matplotlib.rcParams) == before
     assert not matplotlib.rcParams["axes.grid"]
     assert figure.axes[0].xaxis.get_gridlines()[0].get_visible()
+
+
+def test_packages_of_older_installers_have_their_versions_in_the_provenance(monkeypatch):
+    known, read = versions(), PathDistribution.read_text
+    names = {"METADATA": "none", "PKG-INFO": "METADATA"}  # they wrote the other file
+    monkeypatch.setattr(PathDistribution, "read_text", lambda one, name: read(one, names.get(name, name)))
+    assert versions() == known
