@@ -37,6 +37,7 @@ with app.setup:
     get_picture, set_picture = mo.state(0)
     get_marks, set_marks = mo.state(0)
     get_results, set_results = mo.state(0)
+    get_actions, set_actions = mo.state(0)
     get_busy, set_busy = mo.state(False)
     get_point, set_point = mo.state(None)
     get_said, set_said = mo.state(("", tables.status("Choose a scan, or a study to go on with.")))
@@ -50,7 +51,7 @@ with app.setup:
         """Do what a control asks for; what is wrong is shown in the library's own words."""
         try:
             kind, text = "", action()
-            up(*setters)
+            up(set_actions, *setters)
         except Exception as error:
             kind, text = "danger", fault_sentence(error)
             if text is None:
@@ -292,6 +293,14 @@ def layout_point():
 
 
 @app.cell
+def layout_age():
+    get_actions(), get_results()
+    _old = "The study has changed since what stands below was made: do step 4 or 5 again."
+    mo.vstack([mo.Html(page.text(_old))] if session.report_is_old else [])
+    return
+
+
+@app.cell
 def layout_results(other):
     get_results()
     _parts, _report = [], session.report
@@ -308,8 +317,6 @@ def layout_results(other):
     if other.value:
         attempt(compared)
     if _report is not None:
-        if session.report_is_old:
-            _parts.append(mo.Html(page.text("The study has changed since: Look at it, or Fit, again.")))
         if _report != session.study.points:
             _again = f"All results: {_report.parent}. Again: scan2kd {shlex.quote(str(session.study.path))}"
             _curves = tables.curves(session.responses)

@@ -142,7 +142,9 @@ def _open(path: Path) -> _Sheet:
     if twice := sorted(name for name, times in Counter(header).items() if name and times > 1):
         got, step = f"{', '.join(twice)} twice", "Rename or remove one of them"
         raise StapeskitError.of("column names", "different", got, where, step)
-    return _Sheet(file, tuple(header), separator, rest, line)
+    full = len(rest.rstrip(" \t\r\n;,"))  # without empty rows at the end, which spreadsheets write
+    body = rest[: rest.find("\n", full) + 1 or None] if full else ""
+    return _Sheet(file, tuple(header), separator, body, line)
 
 
 def _text(path: Path) -> str:
@@ -219,7 +221,7 @@ def _read_cells(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table:
         below = sheet.line + rows.line_num
         cells = [cell.strip() for cell in row]
         if not "".join(cells).strip(",;") or cells[0].startswith("#"):
-            left_out += [line] if len(cells) >= width > 1 else []
+            left_out += [line] if len(cells) >= width > 1 and cells[0].startswith("#") else []
         elif len(cells) < width or any(cells[width:]):
             faults.append(_length_fault(sheet, line, below - line, cells))
         else:

@@ -64,6 +64,7 @@ DIALECTS = {
     "quotes": PLAIN.replace("stapes", '"stapes"').replace("200", '"200"'),
     "comments and blank lines": "# made by x\n\n" + PLAIN.replace("base", "# odd\n\nbase") + "\n\n",
     "empty rows of a spreadsheet": PLAIN + ",,\n,,\n",
+    "an empty row amid the others": PLAIN.replace("base", ",,\nbase"),
     "an empty last column": PLAIN.replace("\n", ",\n"),
     "names for people": PLAIN.replace("freq_hz", "Freq (Hz)").replace("re_m_s", "Re [m/s]"),
     "a further column": PLAIN.replace("\n", ",x\n").replace("s,x", "s,note"),
@@ -74,10 +75,17 @@ DIALECTS = {
 def test_every_dialect_is_the_same_table(read, dialect):
     table = read(DIALECTS[dialect])
     assert not table.faults
+    assert not table.left_out
     assert table.numbers["freq_hz"].tolist() == [100.5, 200.0]
     assert table.numbers["re_m_s"].tolist() == [1e-6, -2.5]
     assert table.texts["body"].names == ("stapes", "base")
     assert table.texts["body"].codes.tolist() == [0, 1]
+
+
+def test_empty_rows_at_the_end_of_a_table_of_names_are_none(tmp_path):
+    (tmp_path / "names.csv").write_text("name,meaning\na,b\n,\n,\n")
+    table = read_table(tmp_path / "names.csv", lambda *_: (set(), {"name", "meaning"}))
+    assert table.texts["name"].codes.tolist() == [0]
 
 
 def test_missing_cells_are_nan_and_texts_are_stored_once(read):
