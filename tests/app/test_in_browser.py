@@ -138,11 +138,10 @@ def _fit(page, folder):
     page.settle(4000)
     page.shot("8_fit")
     assert page.tab.frames[-1].title() == "scan"  # the report, in the page
-    text = (folder / "scan.toml").read_text()
     page.write("leave out, Hz", "900-1000")
     page.wait("The study has changed since")
     page.write("leave out, Hz", "")
-    assert (folder / "scan.toml").read_text() == text
+    assert "exclude_hz" not in (folder / "scan.toml").read_text()
     done = command_line("pipeline", "scan.toml", "--out", "again", folder=folder)
     assert done.returncode == 0, done.stderr
     ours, again = (json.loads((folder / name / "kd.json").read_text()) for name in ("scan_out", "again"))
