@@ -215,9 +215,10 @@ def phases(measurement: Measurement) -> Iterator[Notice]:
         return
     largest, count = 0.0, 0
     for body in measurement.bodies:
-        known = _known(body)
+        known, (part, _) = _known(body), _some(body)
         turned = float(np.max(np.abs(np.rad2deg(np.angle(known))), initial=0.0))
-        if turned == 0.0 and known.size > LEAST_VALUES and np.any(known != known[0]):
+        varied = np.any(np.abs(np.diff(part, axis=2)) > 0.0)  # else responses over the body itself
+        if turned == 0.0 and known.size > LEAST_VALUES and varied:
             text = f"all values of body {body.body} are real and positive"
             yield _unit_slip(text, "They look like magnitudes without their phases")
         largest, count = max(largest, turned / (1.0 + 1e-6)), count + known.size

@@ -97,7 +97,7 @@ def test_a_base_in_phase_with_the_reference_is_sound(ear, sd_deg):
     """One direction of a shaker, phases over an accelerometer on the base, or responses over the base."""
     stapes, base = ear.bodies
     draws = np.random.default_rng(1).standard_normal(base.value.shape)
-    value = 5e-4 * np.exp(1j * np.deg2rad(sd_deg * draws))
+    value = 5e-4 * base.directions[:, 1:2] * np.exp(1j * np.deg2rad(sd_deg * draws))
     assert codes(replace(ear, bodies=(stapes, replace(base, value=value)))) == set()
 
 
