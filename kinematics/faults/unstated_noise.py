@@ -12,6 +12,7 @@ import numpy as np
 
 from kinematics.faults.scores import Noise, Test
 from kinematics.fit.lsq import solve
+from kinematics.fit.noise import FLOOR
 from kinematics.joint.estimate import Estimate, State
 from kinematics.joint.pack import Readings
 from stapeskit.arrays import Array, ComplexArray
@@ -49,7 +50,7 @@ def unknown_noise(estimate: Estimate, tests: Sequence[Test], unsure: Array) -> N
     whole = max(float(np.sum(kept)), 1.0)
     larger = 1.0 + 4.0 * float(np.sum(unsure)) / whole
     share = 2.0 * float(kept @ unsure) / whole**2
-    level = larger * max(energy, 1e-300) / max(freedom, 1.0)
+    level = larger * max(energy, FLOOR**2) / max(freedom, 1.0)  # exact data leave nothing
     return Noise(level, 1.0 / (1.0 / max(freedom, 1.0) + share))
 
 

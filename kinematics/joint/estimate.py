@@ -16,6 +16,7 @@ from kinematics.joint.pack import Packed
 from kinematics.joint.tangents import Geometry, Parameters
 from stapeskit.arrays import Array, ComplexArray
 
+_ROUNDING = 1e-14  # of information that the motion takes up wholly, with room
 _SMALL = 1e-9  # singular values of the beams, over the largest, that count as zero
 _LEAST_OWN = 1e-6  # share of a channel's noise that stays in its residual, below which nothing is known of it
 _ROUNDS = 12  # of Gauss and Newton; most end after three
@@ -211,7 +212,8 @@ def system(state: State, parameters: Parameters) -> tuple[Array, Array, Array]:
     information = np.zeros((len(k), len(k)))
     first, second = (np.broadcast_to(index, both.shape) for index in (own[:, :, None], own[:, None, :]))
     np.add.at(information, (first[both], second[both]), blocks[both])
-    return 2.0 * score, 2.0 * (information - projection @ projection.T), projection
+    rounding = _ROUNDING * np.diag(np.diag(information))
+    return 2.0 * score, 2.0 * (information - projection @ projection.T + rounding), projection
 
 
 @dataclass(frozen=True)

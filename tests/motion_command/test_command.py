@@ -307,3 +307,13 @@ def test_stated_positions_and_readings_without_noise_end_in_a_result(tmp_path, s
     found = result.motion.q[0, result.motion.body("stapes"), :, 1]
     assert np.allclose(found, truth.motion_m["stapes"][0, :, 1], rtol=1e-9)
     assert {one.verdict for one in result.channels} == {"ok"}
+
+
+@pytest.mark.parametrize("lines", [1, 3, 40])
+def test_an_exact_motion_along_one_direction_ends_in_a_result(tmp_path, lines):
+    """Nothing tells a gain of a laser from such a motion: its information is rounding alone."""
+    truth = simulated(tmp_path, lines=lines, in_footplate=True, exact=True, others=0.0, seed=303)
+    result = measured(tmp_path)
+    found = result.motion.q[0, result.motion.body("base"), :, 1]
+    assert np.allclose(found, truth.motion_m["base"][0, :, 1], rtol=1e-9)
+    assert {one.verdict for one in result.channels} == {"ok"}
