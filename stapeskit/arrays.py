@@ -19,5 +19,5 @@ def finite_or_none(value: float | None) -> float | None:
 
 def return_memory() -> None:
     """Let the C library give back what it keeps of arrays that are gone, where it is that of GNU."""
-    with suppress(OSError, AttributeError):
+    with suppress(OSError, AttributeError, TypeError):  # Windows has no library without a name
         ctypes.CDLL(None).malloc_trim(0)

@@ -1,5 +1,6 @@
 """Results as a user meets them: a console of 80 columns, a notebook without pyplot, a table."""
 
+import ctypes
 import subprocess
 import sys
 import textwrap
@@ -9,6 +10,7 @@ from importlib.metadata import PathDistribution
 import matplotlib
 import pandas as pd
 
+from stapeskit.arrays import return_memory
 from stapeskit.provenance import versions
 from stapeskit.report.figures import panels, style
 from stapeskit.results import Result
@@ -93,3 +95,11 @@ def test_packages_of_older_installers_have_their_versions_in_the_provenance(monk
     names = {"METADATA": "none", "PKG-INFO": "METADATA"}  # they wrote the other file
     monkeypatch.setattr(PathDistribution, "read_text", lambda one, name: read(one, names.get(name, name)))
     assert versions() == known
+
+
+def test_memory_is_kept_where_the_c_library_is_not_to_be_had(monkeypatch):
+    def as_on_windows(name):
+        raise TypeError(name)
+
+    monkeypatch.setattr(ctypes, "CDLL", as_on_windows)
+    return_memory()
