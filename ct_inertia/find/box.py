@@ -20,6 +20,12 @@ ALONE_MM, IN_SITU_MM = 0.024, 0.0124
 """Largest blocks for a stapes alone, and for one that touches other bone, mm: finer ones cost time only."""
 
 _CRUS_MM2 = 0.02  # least cross-section of a crus, before and behind blank slices
+_BRIGHT, _AS_AIR = (
+    0.25,
+    0.5,
+)  # share of the contrast beyond blur and noise; of a slice that is air of one value
+_STILL, _NOISY = 1e-3, 0.4  # of the contrast; share of voxels that change by more where there is noise
+_MOST_COPIES = 0.25  # share of slices that are copies where some were lost or doubled
 
 MARGIN = (0.25, 16)
 """Around the stapes, mm and blocks, whichever is more: room for its blur and for air beyond it."""
@@ -74,7 +80,7 @@ def read_box(
     last = first + count * block
     z, y, x = (slice(int(a), int(b)) for a, b in zip(first[::-1], last[::-1], strict=True))
     if overview is not None:
-        repeated = _repeated_slices(scan, z, y, x)
+        repeated = _repeated_slices(scan, overview, z, y, x)
     if np.all(block == 1):
         box = Box(**vars(grid), grey=scan.read((z, y, x)).astype(np.float32))
     else:
@@ -87,31 +93,41 @@ def read_box(
     return box if overview is None else replace(_with_measured(box, overview), repeated=repeated)
 
 
-def _repeated_slices(scan: Scan, z: slice, y: slice, x: slice) -> tuple[int, ...]:
+def _repeated_slices(scan: Scan, overview: Overview, z: slice, y: slice, x: slice) -> tuple[int, ...]:
     """Return the slices that repeat the one before; refuse blank ones between two parts of the picture.
 
-    A plane of air that the export has clipped lies between bodies of which one is elsewhere. Every second
-    voxel along x and y is looked at.
+    Without noise or where air was clipped, slices of air between bodies are blank, and slices may be alike:
+    there only a single blank slice is refused, and nothing is a copy. Nor are copies many: then each slice
+    was interpolated from the nearest one. Every second voxel along x and y is looked at.
 
     Raises
     ------
     StapeskitError
-        Slices of one value lie between two that differ from it in the same places: they cut the body.
+        Blank slices lie between two that are brighter than air in the same places: they cut the body.
     """
     values = scan.read((z, slice(y.start, y.stop, 2), slice(x.start, x.stop, 2)))
+    contrast = float(overview.levels[-1] - overview.levels[0])
+    bright = values > overview.levels[0] + _BRIGHT * contrast
     blank = np.all(values == values[:, :1, :1], axis=(1, 2))
     least = _CRUS_MM2 / float(np.prod(2.0 * scan.spacing_mm[:2]))
-    seen = np.flatnonzero(~blank)
-    for before, behind in pairwise(seen):
+    for before, behind in pairwise(np.flatnonzero(~blank)):
         lost = values[before + 1].flat[0]
-        both = (values[before] != lost) & (values[behind] != lost)
-        if behind > before + 1 and np.count_nonzero(both) > least:
+        both = bright[before] & bright[behind] & (values[before] != lost) & (values[behind] != lost)
+        most = 1 if np.mean(values[before] == lost) > _AS_AIR else len(values)
+        if 1 < behind - before <= 1 + most and np.count_nonzero(both) > least:
             numbers = list_some([str(z.start + k) for k in range(before + 1, behind)], 6)
             got = f"{lost} in every voxel of slice {numbers}, counted from 0"
             step = "They were lost: reconstruct or copy them again"
             raise StapeskitError.of("the scan", "without blank slices in the stapes", got, scan.name, step)
-    same = np.all(values[1:] == values[:-1], axis=(1, 2)) & ~blank[1:]
-    return tuple(int(k) for k in z.start + 1 + np.flatnonzero(same))
+    shown = ~blank & np.any(bright, axis=(1, 2))
+    pairs = np.flatnonzero(shown[1:] & shown[:-1])
+    same = np.array([np.array_equal(values[k], values[k + 1]) for k in pairs], dtype=bool)
+    if not same.any() or np.mean(same) > _MOST_COPIES:
+        return ()
+    steps = (np.abs(values[k + 1].astype(np.float32) - values[k]) for k in pairs[~same])
+    if np.median([np.mean(step > np.float32(_STILL * contrast)) for step in steps]) < _NOISY:
+        return ()
+    return tuple(int(k) for k in z.start + 1 + pairs[same])
 
 
 def repeated_notice(box: Box) -> tuple[Notice, ...]:

@@ -30,7 +30,8 @@ _AS_AIR = 3.0  # deviations of noise from the level of air within which a consta
 _ENOUGH = 1_000_000  # grey values from which the shares of single ones follow
 _PILED, _BESIDE = 5.0, 3  # a value is piled up by so many times the mean of so many next ones on either side
 _NEAR, _TAIL = 0.01, 0.1  # of the contrast, from a constant: the last and the whole of what fades into it
-_FADING, _CLIPPED = 0.2, 0.03  # voxels near it over those in its tail: 0.5 where blur fades, 0.1 at random
+_FADING, _CLIPPED = 0.2, 0.02  # voxels near it over those in its tail: 0.5 where blur fades, 0.1 at random
+_LEAST_NOISY, _STILL = 0.02, 1e-3  # of a scan: air with noise; of the contrast: steps that are none
 _LOUD = calibrated("overview.loud_noise")
 
 
@@ -89,14 +90,20 @@ def look_at(scan: Scan) -> Overview:
         found = Overview(grey, grid, noise, np.unique(grey).astype(float), is_mask=True)
     else:
         noise, padding, outside = noise_of(grey), None, None
+        most, levels = -1.0, None
         for value, mask in _constants(grey):
-            levels = material_levels(grey, noise, grid.voxel_mm3, mask)
-            if len(levels) > 1 and _is_padding(grey, value, mask, levels, _AS_AIR * noise):
-                padding, outside = value, mask
-                grey[mask] = np.float32(levels[0])
-                break
-        else:
+            others = material_levels(grey, noise, grid.voxel_mm3, mask)
+            if len(others) > 1 and _is_padding(grey, value, mask, others, _AS_AIR * noise):
+                around = np.abs(grey[grown(mask) & ~mask][:, None] - others.astype(np.float32))
+                beside = np.argmin(around, axis=1) == 0
+                if (
+                    beside.mean() > most
+                ):  # beside air without noise lies bone, and padding that fills corners too
+                    most, levels, padding, outside = float(beside.mean()), others, value, mask
+        if outside is None or levels is None:
             levels = material_levels(grey, noise, grid.voxel_mm3, None)
+        else:
+            grey[outside] = np.float32(levels[0])
         found = Overview(grey, grid, noise, levels, padding, outside)
     if len(found.levels) < 2:
         size, voxel = (
@@ -173,6 +180,8 @@ def _is_padding(grey: Grey, value: float, outside: Mask, levels: Array, near: fl
     edge lies air nearly everywhere, and bodies where a constant is air.
     """
     if abs(value - levels[0]) < near:
+        if not _air_is_noisy(grey, levels):
+            return False
         dark = grey[grey < 0.5 * (levels[0] + levels[-1])]
         return is_set(dark, float(levels[-1] - levels[0]), value) is not None
     around = grey[grown(outside) & ~outside][:, None]
@@ -189,6 +198,16 @@ def _is_padding(grey: Grey, value: float, outside: Mask, levels: Array, near: fl
     return bool(np.mean(nearest == 0) > _AIR_BEHIND) if behind.size else False
 
 
+def _air_is_noisy(grey: Grey, levels: Array) -> bool:
+    """Return whether there is air that goes up and down from voxel to voxel; edges rise or fall."""
+    contrast = float(levels[-1] - levels[0])
+    steps = np.diff(grey)
+    turning = np.sign(steps[..., 1:]) * np.sign(steps[..., :-1]) < 0
+    turning &= np.minimum(np.abs(steps[..., 1:]), np.abs(steps[..., :-1])) > np.float32(_STILL * contrast)
+    turning &= grey[..., 1:-1] < np.float32(0.5 * (levels[0] + levels[-1]))
+    return bool(np.mean(turning) > _LEAST_NOISY)
+
+
 def is_set(dark: Grey, contrast: float, value: float | None = None) -> tuple[float, float] | None:
     """Return a grey value of air, the commonest if none is given, and its share; None where it was measured.
 
@@ -200,10 +219,16 @@ def is_set(dark: Grey, contrast: float, value: float | None = None) -> tuple[flo
         return None
     place = int(np.argmax(counts)) if value is None else int(np.argmin(np.abs(values - value)))
     beside = np.delete(counts[max(0, place - _BESIDE) : place + _BESIDE + 1], min(place, _BESIDE))
-    away = np.abs(values - values[place])
-    near = max(_NEAR * contrast, 1.5 * float(np.diff(values).min()))
+    above, step = values - values[place], float(np.diff(values).min())
+    near = max(_NEAR * contrast, 1.5 * step)
+    lowest = not np.any(
+        (above < 0.0) & (above > -near)
+    )  # of what lies around it: another constant may be lower
+    if lowest:
+        near = max(near + 0.5 * step, 2.5 * step)
+    away = above if lowest else np.abs(above)
     at_it, in_tail = (int(counts[(away > 0.0) & (away < end)].sum()) for end in (near, _TAIL * contrast))
-    natural = at_it > (_CLIPPED if place == 0 else _FADING) * (in_tail - at_it)
+    natural = at_it > (_CLIPPED if lowest else _FADING) * (in_tail - at_it)
     if natural or counts[place] < _PILED * beside.mean():
         return None
     return float(values[place]), float(counts[place] / counts.sum())

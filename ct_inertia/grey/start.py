@@ -113,7 +113,7 @@ def start(labelled: Labelled, plate_faces: Sequence[PlaneFace] = ()) -> Start:
     if np.count_nonzero(far) >= _LEAST_AIR:
         air, noise = robust_mean(grey[far])
         air_sd = mean_by_cells(grey[far], far, 16)[1]
-    grey[~measured] = air
+    grey = grey if measured.all() else np.where(measured, grey, np.float32(air))
     beside = {name: mask for name, mask in masks.items() if np.any(near & (distances[name] < reach))}
     face = None
     if "plate" in beside:

@@ -10,7 +10,7 @@ from ct_inertia.find.choose import Search
 from ct_inertia.find.find import find_stapes
 from ct_inertia.find.levels import material_levels, readings
 from ct_inertia.find.necks import find_necks
-from ct_inertia.find.overview import look_at, noise_of
+from ct_inertia.find.overview import is_set, look_at, noise_of
 from ct_inertia.find.pieces import count_holes, label_pieces
 from ct_inertia.frames.footplate import footplate_frame
 from ct_inertia.grey.measure import measure
@@ -244,6 +244,19 @@ def test_slices_that_do_not_continue_their_neighbours_are_named(name):
     found = measure(find_stapes(Scan.from_array(BROKEN[name](scan.read(), middle), scan.spacing_mm)))
     (text,) = [notice.text for notice in found.notices if notice.code == "slices_out_of_place"]
     assert str(middle) in text
+
+
+@pytest.mark.parametrize("contrast", [60.0, 150.0, 199.0, 250.0, 299.0, 20_000.0])
+def test_clipped_air_was_not_set_whatever_its_steps(contrast):
+    """Scans of 8 bits of which a twentieth of the air was clipped were refused as if it had been set to 0."""
+    normal = np.random.default_rng(5).standard_normal(200_000)
+    for sd in (0.02, 0.05, 0.07, 0.1):
+        for begins in (0.5, 1.0, 1.4, 1.6):
+            air = np.maximum(np.round(sd * contrast * (normal + begins)), 0.0).astype(np.float32)
+            assert is_set(air, contrast) is None
+            set_to_0 = np.where(air < np.float32(sd * contrast * begins), np.float32(0.0), air)
+            if contrast > 100.0 and begins * sd > 0.05:
+                assert is_set(set_to_0, contrast)[0] == 0.0
 
 
 @pytest.mark.parametrize("begins", [0.0, 0.06])
