@@ -19,14 +19,14 @@ from fitting.data import Data
 from fitting.draws import root_of, standard_draws
 from fitting.entries import diagonal, split, vector
 from fitting.likelihood import INPLANE, PLANE, Likelihood, Model, Prior
-from fitting.solve import Fit, entry_scale, minimise, start_of, with_covariance
-from fitting.weak import INFORMED, weak_spread
+from fitting.solve import Fit, entry_scale, minimise, start_of
 from stapeskit.arrays import Array
 from stapeskit.spatial import DOF_NAMES
 
 PISTON_DOF = ("y", "alpha", "gamma")
 INPLANE_DOF = ("x", "z", "beta")
 _MM = 1e-3
+_INFORMED = 0.9  # sd over that before, from which on a stiffness counts as told
 
 
 @cache
@@ -80,7 +80,7 @@ class InPlane:
 
 
 def in_plane(found: Fit) -> InPlane:
-    """Fit the equations of x, z and beta, with the usual ratio to the piston's stiffness as prior.
+    """Fit the equations of x, z and beta, with weak priors from the piston's stiffness.
 
     They are a second fit with Y as the first left it: a misfit in the plane does not reach K' and D'.
     """
@@ -89,12 +89,13 @@ def in_plane(found: Fit) -> InPlane:
     data, at, p_value = found.data, found.at, None
     parts = found.likelihood.parts(found.theta)
     lines = data.corrected(found.theta[at["shared"]], (parts.structure, parts.base), parts.mass)
-    usual, scale = _usual(found), entry_scale(found, data.columns)
+    scale, usual = entry_scale(found, data.columns), _usual(found, "stiffness")
+    weak = Prior(usual.mean / scale, usual.covariance / np.outer(scale, scale))
     model = Model(
         found.likelihood.model.law,
         INPLANE,
         Prior(found.theta[at["coupling"]], found.covariance[at["coupling"], at["coupling"]]),
-        entries=Prior(usual.mean / scale, usual.covariance / np.outer(scale, scale)),
+        entries=weak,
         law_value=next(iter(found.theta[at["law"]].tolist()), None),
     )
     likelihood = Likelihood(lines, model, weights=found.weights)
@@ -105,20 +106,82 @@ def in_plane(found: Fit) -> InPlane:
                 theta = start_of(likelihood, theta)
             else:
                 theta[: len(scale)] *= share
-            theta, chi2, used, converged = minimise(likelihood, theta, 1e-5, 40)
-            own = with_covariance(Fit(likelihood, theta, chi2, 6 * lines.count, used, converged))
+            theta, chi2, _, converged = minimise(likelihood, theta, 1e-5, 40)
+            covariance, _ = likelihood.covariance(theta, chi2 / (6 * lines.count))
         except np.linalg.LinAlgError:
             continue
         p_value = float(chdtrc(6 * lines.count, chi2))
         if converged and p_value > _calibrated()["inplane_least_p"]:
-            weak = weak_spread(own, 2)  # the turn about y hardly enters K
-            covariance = (own.covariance + weak @ weak.T)[: len(scale), : len(scale)]
-            covariance = covariance * np.outer(scale, scale)
-            left = np.sqrt(np.diag(covariance) / np.diag(usual.covariance))
-            told = bool(np.all(left[diagonal(3)][:2] < INFORMED))
-            most = 1.0 / np.maximum(left, 1.0)  # data leave no more open than it was before
-            return InPlane(theta[: len(scale)] * scale, covariance * np.outer(most, most), told, p_value)
+            return _determined(found, likelihood, weak, theta, covariance, p_value)
+    usual = _usual(found, "default")
     return InPlane(usual.mean, usual.covariance, False, p_value)
+
+
+def _determined(
+    found: Fit, likelihood: Likelihood, weak: Prior, theta: Array, covariance: Array, p_value: float
+) -> InPlane:
+    """Combine the fitted K_cc and D_cc, SI, with the usual ratio as their prior.
+
+    Where the deflection in the plane drowns in the noise, a stiffness that is much too small fits as well,
+    and its sd falls with its square. What noise leaves alike is the compliance: each stiffness is the mean of
+    its posterior, for a normal compliance as precise as at this stiffness. The sd of the other entries grows
+    with the square of the stiffness, at most to that of the usual ratio.
+    """
+    usual, scale = _usual(found, "default"), entry_scale(found, found.data.columns)
+    count, usual_sd = len(scale), np.sqrt(np.diag(usual.covariance))
+    entries, sd = theta[:count] * scale, np.sqrt(np.maximum(np.diag(covariance)[:count], 1e-300)) * scale
+    there, _ = likelihood.covariance(np.concatenate([usual.mean / scale, theta[count:]]))
+    beforehand = np.diag(weak.covariance)
+    precision = [
+        np.sqrt(np.maximum(1.0 / np.diag(spread)[:count] - 1.0 / beforehand, 0.0)) / scale * at**2
+        for spread, at in ((covariance, entries), (there, usual.mean))
+    ]
+    places = diagonal(3)
+    means, after, told = _stiffnesses(
+        entries[places], np.transpose(precision)[places], usual.mean[places], usual_sd[places]
+    )
+    grown = np.maximum(np.hypot(means, after) / np.maximum(entries[places], sd[places]), 1.0)
+    widened = sd * np.tile(vector(np.outer(grown, grown)), 2)
+    widened = np.minimum(widened, np.maximum(usual_sd, sd))
+    entries[places], widened[places] = means, after
+    factor = scale * widened / sd
+    return InPlane(entries, covariance[:count, :count] * np.outer(factor, factor), told, p_value)
+
+
+def _stiffnesses(
+    fitted: Array, precisions: Array, usual: Array, usual_sd: Array
+) -> tuple[Array, Array, bool]:
+    """Return means and sd of the stiffnesses of x, z, beta, and whether the data tell those of x and z."""
+    means, sds, told = np.zeros(3), np.zeros(3), list[bool]()
+    for place in range(3):
+        expected = float(usual[place]), float(usual_sd[place])
+        near, far = precisions[place].tolist()
+        means[place], sds[place] = _posterior_of_stiffness(float(fitted[place]), (near, far), *expected)
+        _, unseen = _posterior_of_stiffness(expected[0], (0.0, 0.0), *expected)
+        told.append(bool(sds[place] < _INFORMED * unseen))
+    return means, sds, all(told[:2])
+
+
+def _posterior_of_stiffness(
+    fitted: float, precision: tuple[float, float], usual: float, usual_sd: float
+) -> tuple[float, float]:
+    """Return mean and sd of a stiffness whose compliance was observed.
+
+    Its precision (1 / sd) is known at the fitted and at the usual stiffness; between, by the logarithms.
+    """
+    most = usual + 4.0 * usual_sd
+    fitted = max(fitted, 0.01 * most)
+    near = 1.0 / fitted + np.linspace(-8.0, 8.0, 321) / max(precision[0], 1e-300)
+    near = near[(near > 1.0 / most) & (near < 100.0 / most)]
+    stiffness = np.unique(np.concatenate([np.linspace(0.01, 1.0, 400) * most, 1.0 / near]))
+    way = np.log(stiffness / fitted) / np.log(usual / fitted) if usual != fitted else np.zeros(len(stiffness))
+    way = np.clip(way, 0.0, 1.0)
+    between = max(precision[0], 1e-300) ** (1.0 - way) * max(precision[1], 1e-300) ** way
+    cost = 0.5 * ((between * (1.0 / stiffness - 1.0 / fitted)) ** 2 + ((stiffness - usual) / usual_sd) ** 2)
+    weight = np.exp(cost.min() - cost) * np.gradient(stiffness)
+    weight /= weight.sum()
+    mean = float(weight @ stiffness)
+    return mean, float(np.sqrt(weight @ (stiffness - mean) ** 2))
 
 
 def usual_ratio() -> str:
@@ -127,9 +190,9 @@ def usual_ratio() -> str:
     return f"{known['inplane_default']:g} ± {known['inplane_default_sd']:g}"
 
 
-def _usual(found: Fit) -> Prior:
+def _usual(found: Fit, name: str) -> Prior:
     """Return K_cc and D_cc, SI, by a calibrated ratio to the piston's: torsion that of a ring of 1 mm."""
-    ratio, ratio_sd = (_calibrated()[f"inplane_default{ending}"] for ending in ("", "_sd"))
+    ratio, ratio_sd = (_calibrated()[f"inplane_{name}{ending}"] for ending in ("", "_sd"))
     scale = entry_scale(found)
     stiffness = found.theta[0] * scale[0]
     least = 0.05 * stiffness / found.data.reference**found.law.time_power

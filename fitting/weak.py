@@ -13,30 +13,25 @@ from stapeskit.arrays import Array
 
 # Relative sd of a diagonal entry from which chi2 is no parabola: 1 / K differs from normal by it.
 _WEAK = 0.25
-INFORMED = 0.9  # sd over that before, below which the data tell an entry
 _FARTHEST = 20.0  # sd or values that a weak entry is followed
 _CLOSE = 0.8  # of a point inside an interval to one outside, between which its end is taken
 _LOSS_FACTOR = 1.0  # to which damping follows a weak stiffness: of soft tissue it is below
 
 
-def weak_spread(found: Fit, count: int | None = None) -> Array:
+def weak_spread(found: Fit) -> Array:
     """Return columns E (p, k): by E E^T the mean square error of weak entries exceeds the covariance.
 
     Where the deflection drowns in the noise, a stiffness that is much too small lowers chi2 by no more than
     noise does, and its sd falls with it. Chi2 is followed over each such entry of the diagonal of K to where
     it has risen by that of a 95 % interval. All unknowns move along, each no farther than by one of these
-    ways, or by its own; entries that are not weak keep their sd. Of the stiffnesses the first ``count`` are
-    followed, all without it.
+    ways, or by its own; entries that are not weak keep their sd.
     """
     n = found.likelihood.n
     places = np.array(entries.diagonals(n))
     sd = np.sqrt(np.diag(found.covariance)[places])
     weak = sd >= _WEAK * np.abs(found.theta[places])
-    prior = found.likelihood.model.entries
-    if prior is not None:  # where the data say nothing, the interval is that of the prior
-        weak &= sd < INFORMED * np.sqrt(np.diag(prior.covariance)[places])
     columns = np.zeros((len(found.theta), n))
-    for number in np.flatnonzero(weak[:n][:count]) if found.weights is None else ():
+    for number in np.flatnonzero(weak[:n]) if found.weights is None else ():
         columns[:, number] = _reach(found, int(places[number]), float(sd[number]))
     size = np.linalg.norm(columns, axis=1)
     most = np.max(np.abs(columns), axis=1)

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from fitting.entries import diagonal
+from fitting.plane import _posterior_of_stiffness
 from simulate.ligament import draw_ring, ring_ligament
 from stapeskit.spatial import dof_indices
 from tests.fit.fit_cases import codes, fit, ring_ear
@@ -21,6 +23,19 @@ def test_a_stiffness_in_the_plane_that_drowns_in_noise_is_not_stated_as_told(see
     own = diagonal(3)
     assert not plane.determined
     assert np.all(np.abs(plane.entries[own] - truth) < 2.0 * np.sqrt(np.diag(plane.covariance)[own]))
+
+
+def test_a_stiffness_follows_the_compliance_that_was_seen_or_the_usual_one():
+    usual, usual_sd = 2200.0, 1500.0
+    stiffness = 1800.0
+    mean, sd = _posterior_of_stiffness(stiffness, (100.0 * stiffness, 100.0 * stiffness), usual, usual_sd)
+    assert mean == pytest.approx(stiffness, rel=2e-3)
+    assert sd == pytest.approx(0.01 * stiffness, rel=0.02)  # of 1 / c, to first order
+    mean, sd = _posterior_of_stiffness(200.0, (0.0, 0.0), usual, usual_sd)
+    below = -usual / usual_sd  # nothing seen: the usual one, cut off at zero (moments of a truncated normal)
+    hazard = norm.pdf(below) / norm.sf(below)
+    assert mean == pytest.approx(usual + usual_sd * hazard, rel=0.01)
+    assert sd == pytest.approx(usual_sd * np.sqrt(1.0 + below * hazard - hazard**2), rel=0.02)
 
 
 @pytest.mark.parametrize(("noise", "told"), [(0.01, True), (3.0, False)])
