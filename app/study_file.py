@@ -56,6 +56,9 @@ def _stamp(path: Path) -> tuple[int, int] | None:
     return status.st_mtime_ns, status.st_size
 
 
+_CHOSEN_LATER = ("ldv.file", "ldv.points", "ldv.fiducials")
+
+
 class StudyFile(OwnFile):
     """A study: NAME.toml, saved after every change, its comments kept.
 
@@ -73,7 +76,10 @@ class StudyFile(OwnFile):
 
     @classmethod
     def read(cls, path: Path) -> StudyFile:
-        """Open a study; everything that is wrong with its tables is raised together."""
+        """Open a study; everything that is wrong with its tables is raised together.
+
+        Files of the measurement may be missing: the page lets others be chosen.
+        """
         study = cls(Path(path).absolute())
         for name, value in read_toml(study.path).items():
             if not isinstance(value, Mapping):
@@ -86,7 +92,7 @@ class StudyFile(OwnFile):
                     study.mass_options(hand_work=False)
                 elif name in study.tables:
                     kind.from_study(study.tables[name], study.path.name, study.path.parent)
-        raise_all(faults)
+        raise_all(fault for fault in faults if fault.thing not in _CHOSEN_LATER)
         return study
 
     @classmethod

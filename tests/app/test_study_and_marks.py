@@ -69,6 +69,11 @@ def test_a_study_with_wrong_values_is_refused_with_all_of_them(folder):
     assert things == {"scan.seed_mm", "scan.box_mm", "fit.damping"}
 
 
+def test_a_study_whose_measurement_was_moved_is_opened(folder):
+    (folder / "study.toml").write_text('[scan]\nfile = "scan.nrrd"\n[ldv]\nfile = "moved.csv"\n')
+    assert StudyFile.read(folder / "study.toml").get("ldv", "file") == "moved.csv"
+
+
 def test_comments_and_order_of_a_study_written_by_hand_are_kept(folder):
     other = folder / "study.toml"
     text = '# mine\n[study]\nnotes = "n"  # incus gone\n\n[scan]\n# from May\nfile = "scan.nrrd"\n'
