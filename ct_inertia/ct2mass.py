@@ -70,7 +70,7 @@ class _Work:
 
 
 def measure_mass(options: MassOptions, progress: Progress = no_progress) -> MassResult:
-    """Find the stapes, its frames and its mass matrix; ``progress`` is told the stage at work.
+    """Find the stapes, its frames and its mass matrix; call ``progress`` as each stage begins.
 
     Raises
     ------

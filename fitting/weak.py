@@ -11,8 +11,7 @@ from fitting.likelihood import Likelihood
 from fitting.solve import Fit, minimise
 from stapeskit.arrays import Array
 
-# Relative sd of a diagonal entry from which chi2 is no parabola: 1 / K differs from normal by it.
-_WEAK = 0.25
+_WEAK = 0.25  # relative sd of K: the deflection goes with 1 / K, which departs from linear by its square, 6 %
 _FARTHEST = 20.0  # sd or values that a weak entry is followed
 _CLOSE = 0.8  # of a point inside an interval to one outside, between which its end is taken
 _LOSS_FACTOR = 1.0  # to which damping follows a weak stiffness: of soft tissue it is below

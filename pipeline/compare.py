@@ -106,7 +106,7 @@ def compare(first: Path, second: Path) -> Comparison:
 
 
 def _laws_differ(one: Ear, other: Ear) -> bool:
-    """Return whether D of two ears are different things, each with a unit of its own."""
+    """Return whether the damping laws of two ears differ: then D has different units."""
     laws = {str((ear.kd.get("model") or {}).get("damping_law")) for ear in (one, other)}
     return len(laws) > 1 or common_damping_exponent([one, other]) is None
 

@@ -24,7 +24,7 @@ from stapeskit.frames import RigidTransform
 from stapeskit.options import toml
 
 DENSITY_SD = 0.01
-"""Relative sd with which a study states the density, drawn around the true one."""
+"""Relative sd of the density that a study states, drawn around the true one: a bone that was weighed."""
 _SIMULATED = (
     "the grey values, the bone around it, the plate and all vibrometer data are computed. Nothing here is a "
     "measurement."

@@ -16,7 +16,7 @@ from stapeskit.frames import RigidTransform, rotation_from_vector
 
 NOISE_COLUMNS = ("sd", "coherence", "n_avg", "none")
 AVERAGES = 16
-"""Of a spectrum, stated with ``coherence`` and ``n_avg``."""
+"""Of a spectrum, stated with ``coherence`` and ``n_avg``: few, as in a scan of many points."""
 
 
 @dataclass(frozen=True, kw_only=True)

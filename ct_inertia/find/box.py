@@ -20,10 +20,8 @@ ALONE_MM, IN_SITU_MM = 0.024, 0.0124
 """Largest blocks for a stapes alone, and for one that touches other bone, mm: finer ones cost time only."""
 
 _CRUS_MM2 = 0.02  # least cross-section of a crus, before and behind blank slices
-_BRIGHT, _AS_AIR = (
-    0.25,
-    0.5,
-)  # share of the contrast beyond blur and noise; of a slice that is air of one value
+_BRIGHT = 0.25  # share of the contrast above air that is beyond blur and noise
+_AS_AIR = 0.5  # share of a slice that has one value where its air is without noise
 _STILL, _NOISY = 1e-3, 0.4  # of the contrast; share of voxels that change by more where there is noise
 _MOST_COPIES = 0.25  # share of slices that are copies where some were lost or doubled
 

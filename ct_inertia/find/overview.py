@@ -96,9 +96,8 @@ def look_at(scan: Scan) -> Overview:
             if len(others) > 1 and _is_padding(grey, value, mask, others, _AS_AIR * noise):
                 around = np.abs(grey[grown(mask) & ~mask][:, None] - others.astype(np.float32))
                 beside = np.argmin(around, axis=1) == 0
-                if (
-                    beside.mean() > most
-                ):  # beside air without noise lies bone, and padding that fills corners too
+                # of two constants, padding is the one beside air; beside air without noise lies bone too
+                if beside.mean() > most:
                     most, levels, padding, outside = float(beside.mean()), others, value, mask
         if outside is None or levels is None:
             levels = material_levels(grey, noise, grid.voxel_mm3, None)
@@ -221,9 +220,8 @@ def is_set(dark: Grey, contrast: float, value: float | None = None) -> tuple[flo
     beside = np.delete(counts[max(0, place - _BESIDE) : place + _BESIDE + 1], min(place, _BESIDE))
     above, step = values - values[place], float(np.diff(values).min())
     near = max(_NEAR * contrast, 1.5 * step)
-    lowest = not np.any(
-        (above < 0.0) & (above > -near)
-    )  # of what lies around it: another constant may be lower
+    # of what lies around it: another constant may be lower
+    lowest = not np.any((above < 0.0) & (above > -near))
     if lowest:
         near = max(near + 0.5 * step, 2.5 * step)
     away = above if lowest else np.abs(above)

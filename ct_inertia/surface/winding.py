@@ -26,13 +26,7 @@ _POINTS = 1 << 14  # points at a time
 def winding_surface(vertices: Array, faces: NDArray[np.int64], name: str) -> Surface:
     """Return the closed surface of winding number one half, on a grid.
 
-    Parameters
-    ----------
-    vertices : ndarray, (n, 3)
-        mm.
-    faces : ndarray of int, (m, 3)
-    name : str
-        Of the file, for messages.
+    ``vertices`` (n, 3) in mm, ``faces`` (m, 3); ``name`` of the file, for messages.
 
     Returns
     -------

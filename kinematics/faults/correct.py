@@ -123,7 +123,10 @@ def on_all_bodies(bodies: Sequence[BodyChannels], diagnoses: Mapping[int, Diagno
 
 
 def _agrees(diagnosis: Diagnosis, fault: Finding) -> bool:
-    """Return whether a body without a fault of its own in a laser may have one that another body shows."""
+    """Return whether the readings of a body allow the fault that a laser shows on another body.
+
+    False where the body has a fault of its own in these channels, or another cause.
+    """
     from scipy.special import chdtrc
 
     last, size = diagnosis.last, len(fault.values)

@@ -28,7 +28,7 @@ ALARM_SHARES = (0.6, 0.25, 0.1)
 that contain each other are weighted as if each were alone and the owners independent (`SHARE`), which makes
 1.1 times as many alarms (2 000 simulated files); the sum is 1.0."""
 POWER = 0.9
-"""Probability with which a fault of the reported size is found."""
+"""Probability with which a fault of the reported size is found: the usual power of a planned test."""
 _LEVEL_ROUNDS = 2  # of the noise of channels: wrong weights put noise into the columns that hold the motion
 _STATED = 1e-4  # sd of a logarithm that is as good as none
 
