@@ -1,7 +1,7 @@
-"""A number that is changed in a kernel is noticed by the tests of its room.
+"""A number or sign that is changed in a kernel is noticed by the tests.
 
-Each row changes one number or sign in a copy of the packages and runs the tests of the folder that is
-responsible, until the first failure.
+Each row changes one in a copy of the packages and runs the file of tests that is responsible, until the first
+failure; where all pass, the other files of its folder.
 
     python -m benchmarks.mutations
 """
@@ -15,33 +15,53 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks._table import print_table
+from benchmarks._table import NOTHING, print_table
 
 ROOT = Path(__file__).resolve().parents[1]
 
-MUTATIONS: tuple[tuple[str, str, str, str], ...] = (
-    # (file, text, what takes its place, tests)
-    ("stapeskit/spatial.py", "-r @ cross_matrix(shift_m)", "r @ cross_matrix(shift_m)", "ground"),
-    ("stapeskit/spatial.py", "- mass * arm @ arm.T", "- 0.99 * mass * arm @ arm.T", "ground"),
-    ("stapeskit/frames.py", "0.5 * half * half", "0.51 * half * half", "ground"),
-    ("stapeskit/registration.py", "weights * 1e6, rows", "weights * 1.2e6, rows", "ground"),
-    ("ct_inertia/body_moments.py", "-moment_xy - volume", "-moment_xy + volume", "bodies"),
-    ("ct_inertia/body_moments.py", "[1, x, y, z, y * y", "[1, x, y, z, 1.1 * y * y", "bodies"),
-    ("ct_inertia/grey/moments.py", "axes.T / 12.0", "axes.T / 10.0", "bodies"),
-    ("ct_inertia/grey/moments.py", "2.0 * moments.volume_mm3", "3.0 * moments.volume_mm3", "bodies"),
-    ("ct_inertia/surface/surface.py", "second / 120.0", "second / 118.0", "mass"),
-    ("ct_inertia/frames/footplate_face.py", "FACE_ANGLE_DEG = 60.0", "FACE_ANGLE_DEG = 57.0", "mass"),
-    ("ct_inertia/frames/gap.py", "(2.0 * level_sd_mm)", "(3.0 * level_sd_mm)", "mass"),
-    ("kinematics/joint/tangents.py", "1.0 + sums[GAIN] +", "1.02 + sums[GAIN] +", "motion"),
-    ("kinematics/joint/tangents.py", "np.exp(-1j * sums[DELAY]", "np.exp(1j * sums[DELAY]", "motion"),
-    ("kinematics/signals/frf.py", "1.0 / (2.0 * max(averages", "1.0 / (2.4 * max(averages", "motion_files"),
-    ("kinematics/fit/noise.py", "/ (2.0 * np.log(2.0)) if", "/ (2.4 * np.log(2.0)) if", "motion"),
-    ("fitting/uncertainty.py", "imag, eigen.imag) / (2.0", "imag, eigen.imag) / (2.2", "fit"),
-    ("fitting/textbook.py", "own = 0.5 * np.einsum", "own = 0.6 * np.einsum", "fit"),
-    ("fitting/likelihood.py", "added += 2.0 * (spread", "added += 1.6 * (spread", "fit"),
-    ("fitting/laws.py", "1j * w / (1.0 + 1j * w * a)", "1j * w / (1.0 - 1j * w * a)", "fit"),
-    ("pipeline/cohort/law.py", "max(2.0 * (value - self", "max(1.0 * (value - self", "cohort"),
-)
+MUTATIONS: dict[str, tuple[tuple[str, str, str], ...]] = {
+    # file of tests: (file, text, what takes its place), ...
+    "ground/test_records_mass": (
+        ("stapeskit/spatial.py", "-r @ cross_matrix(shift_m)", "r @ cross_matrix(shift_m)"),
+        ("stapeskit/spatial.py", "- mass * arm @ arm.T", "- 0.99 * mass * arm @ arm.T"),
+    ),
+    "ground/test_registration_fit": (
+        ("stapeskit/frames.py", "0.5 * half * half", "0.51 * half * half"),
+        ("stapeskit/registration.py", "weights * 1e6, rows", "weights * 1.2e6, rows"),
+    ),
+    "bodies/test_partial_volume_moments": (
+        ("ct_inertia/body_moments.py", "-moment_xy - volume", "-moment_xy + volume"),
+        ("ct_inertia/body_moments.py", "[1, x, y, z, y * y", "[1, x, y, z, 1.1 * y * y"),
+        ("ct_inertia/grey/moments.py", "axes.T / 12.0", "axes.T / 10.0"),
+    ),
+    "bodies/test_scene_closed_forms": (
+        ("ct_inertia/grey/moments.py", "2.0 * moments.volume_mm3", "3.0 * moments.volume_mm3"),
+    ),
+    "mass/test_mass_surfaces": (("ct_inertia/surface/surface.py", "second / 120.0", "second / 118.0"),),
+    "mass/test_mass_frames": (
+        ("ct_inertia/frames/footplate_face.py", "FACE_ANGLE_DEG = 60.0", "FACE_ANGLE_DEG = 57.0"),
+    ),
+    "mass/test_mass_plate": (("ct_inertia/frames/gap.py", "(2.0 * level_sd_mm)", "(3.0 * level_sd_mm)"),),
+    "motion/test_joint_estimate": (
+        ("kinematics/joint/tangents.py", "1.0 + sums[GAIN] +", "1.02 + sums[GAIN] +"),
+        ("kinematics/joint/tangents.py", "np.exp(-1j * sums[DELAY]", "np.exp(1j * sums[DELAY]"),
+    ),
+    "motion_files/test_estimates_of_signals": (
+        ("kinematics/signals/frf.py", "1.0 / (2.0 * max(averages", "1.0 / (2.4 * max(averages"),
+    ),
+    "motion/test_least_squares": (
+        ("kinematics/fit/noise.py", "/ (2.0 * np.log(2.0)) if", "/ (2.4 * np.log(2.0)) if"),
+    ),
+    "fit/test_likelihood": (
+        ("fitting/uncertainty.py", "imag, eigen.imag) / (2.0", "imag, eigen.imag) / (2.2"),
+        ("fitting/likelihood.py", "added += 2.0 * (spread", "added += 1.6 * (spread"),
+    ),
+    "fit/test_estimators": (("fitting/textbook.py", "own = 0.5 * np.einsum", "own = 0.6 * np.einsum"),),
+    "fit/test_causes_and_laws": (
+        ("fitting/laws.py", "1j * w / (1.0 + 1j * w * a)", "1j * w / (1.0 - 1j * w * a)"),
+    ),
+    "cohort/test_law": (("pipeline/cohort/law.py", "max(2.0 * (value - self", "max(1.0 * (value - self"),),
+}
 
 
 def noticed(copy: Path, file: str, text: str, other: str, tests: str) -> str:
@@ -56,25 +76,30 @@ def noticed(copy: Path, file: str, text: str, other: str, tests: str) -> str:
     if source.count(text) != 1:
         raise ValueError(f"{file} must hold {text!r} once; got {source.count(text)}. Correct the list.")
     (copy / file).write_text(source.replace(text, other), encoding="utf-8")
-    words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", f"tests/{tests}"]
-    path = {**os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
-    printed = subprocess.run(words, cwd=copy, env=path, capture_output=True, text=True, check=False).stdout
+    first = f"tests/{tests}.py"
+    name = failing(copy, first) or failing(copy, str(Path(first).parent), f"--ignore={first}")
     (copy / file).write_text(source, encoding="utf-8")
+    return name
+
+
+def failing(copy: Path, *words: str) -> str:
+    """Return file and name of the first of some tests that fails, or "" when all pass."""
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *words]
+    path = {**os.environ, "PYTHONPATH": str(copy)}
+    printed = subprocess.run(command, cwd=copy, env=path, capture_output=True, text=True, check=False).stdout
     failed = [line for line in printed.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return failed[0].split("::", 1)[-1].split(" - ")[0] if failed else ""
+    return failed[0].split(" ")[1].removeprefix("tests/") if failed else ""
 
 
 if __name__ == "__main__":
     ignored = shutil.ignore_patterns(".git", ".venv", "demo", "site", "__pycache__", ".*_cache")
+    rows = list[tuple[str, str, str, str]]()
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "copy"
         shutil.copytree(ROOT, target, ignore=ignored, symlinks=True)
-        found = [(change, noticed(target, *change)) for change in MUTATIONS]
-    folders = dict.fromkeys(tests for *_, tests in MUTATIONS)
-    by_folder = {name: [bool(test) for (*_, tests), test in found if tests == name] for name in folders}
-    print_table(
-        ("tests", "changes", "noticed"),
-        ([f"`tests/{name}`", len(own), sum(own)] for name, own in by_folder.items()),
-    )
-    missed = [f"`{text}` -> `{other}` in `{file}`" for (file, text, other, _), test in found if not test]
-    print(f"{sum(map(sum, by_folder.values()))} of {len(found)}. Not noticed: {'; '.join(missed) or 'none'}.")
+        for tests, file, text, other in ((name, *row) for name, own in MUTATIONS.items() for row in own):
+            test = noticed(target, file, text, other, tests).partition("[")[0].replace(".py::", ": ")
+            rows.append((f"`{file}`", f"`{text}`", f"`{other}`", f"`{test}`" if test else NOTHING))
+            print(*rows[-1], file=sys.stderr, flush=True)
+    print_table(("file", "number or sign", "changed to", "noticed by"), rows)
+    print(f"{sum(row[-1] != NOTHING for row in rows)} of {len(rows)} noticed.")
