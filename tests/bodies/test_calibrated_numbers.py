@@ -37,3 +37,5 @@ def test_every_entry_was_fitted_on_one_population_and_checked_on_another():
 def test_every_population_is_described():
     for population in POPULATIONS.values():
         assert set(population) == {"description", "script", "date"}
+        script = population["script"]
+        assert not script.endswith(".py") or (ROOM.parent / script).is_file(), script

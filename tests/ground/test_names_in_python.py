@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -25,3 +26,9 @@ def test_a_users_module_that_was_imported_before_is_named(tmp_path: Path) -> Non
     result = run(tmp_path, "import fitting, stapeskit as sk; sk.dof2kd")
     assert result.returncode != 0
     assert str(tmp_path / "fitting.py") in result.stderr.splitlines()[-1]
+
+
+def test_every_package_tells_type_checkers_that_it_is_typed() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    for package in project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]:
+        assert (ROOT / package / "py.typed").is_file(), package
