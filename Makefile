@@ -6,11 +6,11 @@ SITE := .venv/.site
 # byte code is kept in any case: where the environment forbids it, every process compiles what it imports anew
 export PYTHONDONTWRITEBYTECODE =
 # two processes share two cores
-test test-shared: export OPENBLAS_NUM_THREADS = 1
+test test-shared coverage: export OPENBLAS_NUM_THREADS = 1
 # a test that follows another one takes its memory over: given back to the system in between, it costs a seventh
 # of the processor time to have its pages cleared again
-test test-shared: export MALLOC_MMAP_THRESHOLD_ = 128000000
-test test-shared: export MALLOC_TRIM_THRESHOLD_ = 512000000
+test test-shared coverage: export MALLOC_MMAP_THRESHOLD_ = 128000000
+test test-shared coverage: export MALLOC_TRIM_THRESHOLD_ = 512000000
 
 .PHONY: help setup demo cohort test test-shared coverage browser octave lint types imports check format bench evidence docs site sample lock clean
 
