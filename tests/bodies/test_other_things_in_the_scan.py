@@ -117,9 +117,11 @@ def test_blank_slices_across_a_named_stapes_are_refused(count):
     grey, seed = scan.read(), placed.scan_from_footplate.points(np.array([0.0, 0.1, 0.0]))
     middle = int(scan.index_points(true_moments(placed).centroid_mm)[2])
     grey[middle : middle + count] = 0
-    with pytest.raises(StapeskitError) as error:
-        find_stapes(Scan.from_array(grey, scan.spacing_mm), Search(seed_mm=seed))
-    assert error.value.faults[0].expected == "without blank slices in the stapes"
+    for search in (Search(seed_mm=seed), None):
+        with pytest.raises(StapeskitError) as error:
+            find_stapes(Scan.from_array(grey, scan.spacing_mm), search)
+        assert error.value.faults[0].expected == "without blank slices in the stapes"
+        assert f" {middle}" in error.value.faults[0].got
 
 
 def test_a_slice_that_repeats_the_one_before_is_reported():

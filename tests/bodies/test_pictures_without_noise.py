@@ -81,13 +81,3 @@ def test_slices_that_are_alike_without_noise_or_by_interpolation_are_no_copies(t
     grey = np.repeat(render(placed, scanner), times, axis=0)
     found = find_stapes(Scan.from_array(grey, placed.voxel_mm / [1, 1, times]))
     assert found.box.repeated == ()
-
-
-def test_air_without_noise_inside_a_padded_circle_is_air():
-    """Both fill corners: the one that ends at materials was not measured."""
-    from ct_inertia.find.overview import look_at
-
-    overview = look_at(scanned(round_field=True)[0])
-    assert overview.padding == 0.0
-    assert overview.levels[0] == pytest.approx(8000.0, rel=0.02)
-    assert np.mean(overview.unmeasured) > 0.05

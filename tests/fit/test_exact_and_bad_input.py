@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from fitting.mass import read_mass_csv
-from fitting.options import KDOptions
 from fitting.plan import read_plan
 from simulate.ligament import ring_ligament, stapes_motion
 from stapeskit.faults import StapeskitError
@@ -259,23 +258,6 @@ def test_mass_of_a_plain_file(tmp_path):
     assert refused(lambda: fit(motion, wrong))
     assert refused(lambda: fit(motion, np.eye(2)))[0].got == "2 x 2"
     assert refused(lambda: read_mass_csv(tmp_path / "none.csv", DOF))[0].thing == "--mass"
-
-
-@pytest.mark.parametrize(
-    ("options", "thing"),
-    [
-        ({"unknowns": "flui"}, "--unknowns"),
-        ({"unknowns": "delay=fast"}, "--unknowns delay"),
-        ({"estimator": "pinv", "unknowns": "fluid"}, "--unknowns"),
-        ({"estimator": "pinv", "robust": "t4"}, "--robust"),
-        ({"lower": {"K11": 1.0}}, "--lower and --upper"),
-        ({"estimator": "constrained", "lower": {"K99": 1.0}}, "--lower"),
-        ({"estimator": "constrained", "lower": {"K11": 9.0}, "upper": {"K11": 2.0}}, "--lower K11"),
-        ({"damping": "elastic"}, "damping"),
-    ],
-)
-def test_options_are_checked_before_data(options, thing):
-    assert refused(lambda: KDOptions.of(**options))[0].thing == thing
 
 
 def test_lines_with_missing_values_are_left_out_and_counted():

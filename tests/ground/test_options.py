@@ -134,6 +134,12 @@ def test_unfit_values_are_refused_by_name(words: str, scan_file: Path) -> None:
     assert [fault.thing for fault in raised.value.faults] == [UNFIT[words]]
 
 
+def test_a_wrong_name_in_python_is_refused() -> None:
+    with pytest.raises(StapeskitError) as raised:
+        Scan.of(densty=3)
+    assert raised.value.faults[0].thing == "densty"
+
+
 def test_all_faults_come_together(scan_file: Path) -> None:
     with pytest.raises(StapeskitError) as raised:
         parsed("scan.tif --density 19x --box 1,2,3,0,5,6 --mirror q --band 3 --nothing")

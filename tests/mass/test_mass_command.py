@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +12,12 @@ from ct_inertia.api import ct2mass
 from ct_inertia.cli import work
 from ct_inertia.exports.write import EXPORTS
 from ct_inertia.options import EXPORTS as EXPORT_NAMES
-from ct_inertia.options import MassOptions
 from ct_inertia.report.pictured import pictured_from
 from ct_inertia.report.sections import mass_page
 from ct_inertia.results import MassResult
 from ct_inertia.scan.open_scan import open_labels
 from ct_inertia.surface.surface import Surface
 from simulate import Ear, Scan, Stapes, simulate_study, stapes_solid, write_labels
-from stapeskit.faults import StapeskitError
 from stapeskit.outputs import MANIFEST
 from stapeskit.records.mass_file import read_mass, read_mass_json
 from stapeskit.registration import displacement
@@ -209,40 +206,3 @@ def test_every_export_is_written(mesh: Path, tmp_path: Path) -> None:
     import trimesh
 
     assert trimesh.load(out / "stapes.stl").is_watertight
-
-
-def test_files_of_the_user_are_not_written_over(mesh: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "mass.json").write_text("mine")
-    words = [str(mesh), "--density", "1900", "--no-report", "--out", str(out)]
-    with pytest.raises(StapeskitError):
-        work(words)
-    assert (out / "mass.json").read_text() == "mine"
-    work([*words, "--force"])
-    assert json.loads((out / "mass.json").read_text())["schema"] == "stapeskit.mass/1"
-
-
-@pytest.mark.parametrize(
-    ("given", "thing"),
-    [
-        ({"scan": "mesh", "labels": "mesh"}, "--labels"),
-        ({"scan": "mesh", "density": (1900, 2000)}, "the standard deviation of --density"),
-        ({"labels": "mesh", "threshold": 3}, "--threshold"),
-        ({"labels": "mesh", "spacing": 20.0}, "--spacing"),
-        ({"labels": "mesh", "coat": 0.03}, "--coat"),
-        ({"labels": "mesh", "shape": (3, 3, 3)}, "--shape and --dtype"),
-        ({"labels": "mesh", "close": True}, "--close"),
-        ({"scan": "mesh", "stapes_label": 2}, "--stapes-label and --plate-label"),
-        ({"scan": "mesh", "spacing": (1, 2, 3)}, "--spacing"),
-        ({"scan": "mesh", "side": "up"}, "side"),
-        ({"scan": "mesh", "densty": 3}, "densty"),
-    ],
-)
-def test_options_that_contradict_each_other_are_refused(
-    given: dict[str, object], thing: str, mesh: Path
-) -> None:
-    named = {key: str(mesh) if value == "mesh" else value for key, value in given.items()}
-    with pytest.raises(StapeskitError) as error:
-        MassOptions.of(**named)
-    assert thing in {fault.thing for fault in error.value.faults}

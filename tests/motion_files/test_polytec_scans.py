@@ -55,8 +55,9 @@ def test_the_object_shows_itself():
     assert len(frame) == 25 * 571
     assert {"point", "dir_x", "x_m", "freq_hz", "re", "im", "sd", "coherence", "n_avg"} <= set(frame.columns)
     assert np.allclose(frame["re"][:571], scan.value[0].real)
-    assert len(scan.plot().axes) == 2
-    assert hasattr(scan.plot(), "_repr_png_")
+    figure = scan.plot()
+    assert len(figure.axes) == 2
+    assert hasattr(figure, "_repr_png_")
     assert "25 channels at 25 points" in repr(scan)
 
 

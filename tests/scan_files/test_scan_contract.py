@@ -13,7 +13,7 @@ from stapeskit.faults import StapeskitError
 from tests.scan_files.scan_cases import CASES
 from tests.scan_files.scan_writers import SPACING, check_corners, picture
 
-SEEDS = 12  # damages of each format; benchmarks/damaged_files.py tries as many as one asks for
+SEEDS = 6  # damages of each format; benchmarks/damaged_files.py tries as many as one asks for
 
 
 def written(folder, name, kind=None, shape=(7, 6, 5)):

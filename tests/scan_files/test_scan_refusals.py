@@ -228,28 +228,11 @@ def test_numbers_of_colours_are_labels_and_no_grey_values(tmp_path):
     assert np.array_equal(open_labels(tmp_path / "p.tif", SPACING)[0], picture("u1"))
 
 
-NO_SCANS = {
-    "flat": (picture()[0], {}, "three-dimensional"),
-    "rgb": (np.zeros((4, 6, 5, 3), "u1"), {"photometric": "rgb"}, "a stack of one grey value per voxel"),
-    "complex": (picture().astype("c8"), {}, "real grey values"),
-    "constant": (
-        np.full((5, 6, 7), 7, "u1"),
-        {"photometric": "minisblack"},
-        "a picture with differing grey values",
-    ),
-    "channels": (
-        np.zeros((3, 2, 6, 5), "u1"),
-        {"imagej": True, "metadata": {"axes": "ZCYX"}},
-        "a stack of one grey value per voxel",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", NO_SCANS)
-def test_pictures_that_are_no_scan(tmp_path, name):
-    array, options, expected = NO_SCANS[name]
-    tifffile.imwrite(tmp_path / "a.tif", array, **options)
-    assert refused(tmp_path / "a.tif").expected == expected
+def test_channels_of_imagej_are_no_scan(tmp_path):
+    """Flat, coloured, complex and constant pictures: tests/refusals."""
+    channels = {"imagej": True, "metadata": {"axes": "ZCYX"}}
+    tifffile.imwrite(tmp_path / "a.tif", np.zeros((3, 2, 6, 5), "u1"), **channels)
+    assert refused(tmp_path / "a.tif").expected == "a stack of one grey value per voxel"
 
 
 @pytest.mark.parametrize("ending", ["nrrd", "mha", "nii"])

@@ -29,7 +29,6 @@ from simulate import (
     ring_ligament,
 )
 from tests.scan_files.scan_writers import dicom, ome_zarr
-from tests.scan_files.scanner_writers import isq, vgi
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,15 +181,10 @@ SCENES: dict[str, Scene] = {
         codes=_mass("grey_values_missing", "file_read"),
         without=("bare_bone_assumed", "plate_axis_sign"),
     ),
-    # a scan of each family of formats; every kind of each: tests/scan_files
-    "ome_tiff": _format("ome.tif"),
-    "nrrd": _format("nrrd", without=_ORIENTED),
-    "metaimage": _format("mha", without=_ORIENTED),
+    # the ways in which a file can hold a scan; every format has the same voxels and places: tests/scan_files
     "nifti_left_handed": _format("nii.gz", ("file_read",), _ORIENTED),
     "dicom": _format("scan_dicom", without=_ORIENTED, writer=dicom),
     "zarr": _format("scan.zarr", writer=partial(ome_zarr, version="0.5", chunk=32)),
-    "isq": _format("scan.isq", writer=isq, dtype="int16"),
-    "vgstudio": _format("scan.vgi", writer=vgi),
     "slices": _format("slices"),
     # measurements: noise, geometry, formats, faults
     "points_in_footplate_axes": _points(),

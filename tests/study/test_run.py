@@ -102,20 +102,6 @@ def test_what_is_finished_stays_when_a_later_stage_fails(
     assert (out / "report.html").exists()
 
 
-def test_cheap_checks_come_first(small: tuple[Path, Truth], tmp_path: Path) -> None:
-    copied(small, tmp_path)
-    text = (tmp_path / "ldv.csv").read_text().splitlines()
-    cells = text[2].split(",")
-    cells[text[0].split(",").index("freq_hz")] = "-5"
-    (tmp_path / "ldv.csv").write_text("\n".join([*text[:2], ",".join(cells), *text[3:]]) + "\n")
-    with pytest.raises(StapeskitError) as raised:
-        check_study(read_study(tmp_path / "study.toml"))
-    assert "freq_hz" in raised.value.faults[0].thing
-    with pytest.raises(StapeskitError):
-        scan2kd(tmp_path / "study.toml", out=tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_computed(
     small: tuple[Path, Truth], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
