@@ -42,14 +42,6 @@ def test_command_writes_json_page_mat_and_csv(folder, monkeypatch):
     page = (folder / "ear.html").read_text()
     assert content["verdict"]["sentence"] in page
     assert "<script src" not in page
-    with pytest.raises(StapeskitError) as error:  # kd.csv would be dof.csv
-        work(["dof.csv", "--mass", "M.csv", "--out", "dof.json"])
-    assert "inputs" in error.value.faults[0].expected
-    (folder / "kd.json").write_text("mine")
-    with pytest.raises(StapeskitError) as error:
-        work(["dof.csv", "--mass", "M.csv"])
-    assert "kd.json" in error.value.faults[0].got
-    assert (folder / "kd.json").read_text() == "mine"
 
 
 def test_matlab_and_csv_hold_numbers(result, tmp_path):

@@ -164,8 +164,9 @@ def test_the_result_prints_draws_and_tabulates_itself(study: Study) -> None:
     frame = result.to_frame()
     assert len(frame) == 21
     assert frame["standard_deviation_si"].notna().all()
-    assert result.plot().axes
-    assert hasattr(result.plot(), "_repr_png_")
+    figure = result.plot()
+    assert figure.axes
+    assert hasattr(figure, "_repr_png_")
     assert "<table>" in result._repr_html_()
 
 

@@ -1,44 +1,16 @@
-"""Scenes beside the table: a plan and the measurement it plans, and virtual points that pyFBS computed."""
+"""Beside the table of scenes: virtual points that pyFBS computed."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import fitting.cli
 import kinematics.cli
-from fitting.plan import read_plan, stated_mass
-from fitting.planned_motion import planned_motion, six_dof_matrices
-from stapeskit.records.motion_file import read_motion, write_motion
-from tests.fit.fit_cases import drawn
-from tests.scenes.chain import distance_of
+from stapeskit.records.motion_file import read_motion
 
 SHARED = Path(__file__).parents[3] / "shared" / "data" / "virtual_point"
-
-
-def test_a_measurement_as_planned_states_what_the_plan_promised(tmp_path: Path) -> None:
-    (tmp_path / "plan.toml").write_text('lines = 60\ndirections = ["y", "x"]\nmass_sd_percent = 0\n')
-    fitting.cli.work(["--plan", str(tmp_path / "plan.toml"), "--out", str(tmp_path / "plan.json"), "--quiet"])
-    plan, _ = read_plan(tmp_path / "plan.toml")
-    mass = stated_mass(plan).matrix
-    np.savetxt(tmp_path / "M.csv", mass, delimiter=",", fmt="%.17g")
-    write_motion(tmp_path, "dof", drawn(planned_motion(plan, mass), np.random.default_rng(3)))
-    words = [str(tmp_path / "dof.csv"), "--mass", str(tmp_path / "M.csv"), "--mass-sign", "tensor"]
-    fitting.cli.work([*words, "--unknowns", "none", "--out", str(tmp_path / "kd.json"), "--quiet"])
-    promised, found = (json.loads((tmp_path / name).read_text()) for name in ("plan.json", "kd.json"))
-    for name in ("stiffness", "damping"):
-        ratio = np.diag(found[f"{name}_sd_si"]) / np.diag(promised[f"expected_{name}_sd_si"])
-        assert np.all(np.abs(ratio - 1.0) < 0.25), ratio
-    rows, upper = [1, 3, 5], np.triu_indices(3)
-    truth = [part[np.ix_(rows, rows)][upper] for part in six_dof_matrices(plan)]
-    stated = [np.array(found[f"{name}_si"])[upper] for name in ("stiffness", "damping")]
-    off = np.concatenate(stated) - np.concatenate(truth)
-    distance, limit = distance_of(off, np.array(found["covariance_si"]))
-    assert distance < limit
-    assert {warning["code"] for warning in found["warnings"]} == {"mass_uncertainty_not_given"}
 
 
 @pytest.mark.shared
