@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 import coverage
+
 from stapeskit import sandbox
 
 _send = sandbox._send
