@@ -29,7 +29,8 @@ class Moments:
         Integral of (r - c)(r - c)^T dV about the centroid.
     contributions : mapping of str to ndarray, (10, 10)
         Covariance of (V, cx, cy, cz, Sxx, Syy, Szz, Sxy, Syz, Sxz) in powers of mm, by independent source:
-        noise, levels, psf, separation, border, surroundings, coat, voids, grey_scale, misfit, voxels.
+        noise, levels, psf, separation, border, slices, surroundings, coat, voids, grey_scale, misfit,
+        voxels.
 
     Raises
     ------

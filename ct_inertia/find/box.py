@@ -14,7 +14,6 @@ from ct_inertia.voxels.grid import Grid
 from ct_inertia.voxels.masks import grown
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError, list_some
-from stapeskit.warnings import Notice
 
 ALONE_MM, IN_SITU_MM = 0.024, 0.0124
 """Largest blocks for a stapes alone, and for one that touches other bone, mm: finer ones cost time only."""
@@ -126,19 +125,6 @@ def _repeated_slices(scan: Scan, overview: Overview, z: slice, y: slice, x: slic
     if np.median([np.mean(step > np.float32(_STILL * contrast)) for step in steps]) < _NOISY:
         return ()
     return tuple(int(k) for k in z.start + 1 + pairs[same])
-
-
-def repeated_notice(box: Box) -> tuple[Notice, ...]:
-    """Return the warning about slices that repeat the one before."""
-    if not box.repeated:
-        return ()
-    share = 100.0 * len(box.repeated) / float(box.size[2] * box.block[2])
-    text = (
-        f"Slices {list_some(map(str, box.repeated), 6)}, counted from 0, are copies of those before them. "
-        "Where they were added, the stapes is longer by them, where they replace others, those are missing: "
-        f"{share:.2g} % of its slices, which the budget does not hold. Reconstruct or copy them again."
-    )
-    return (Notice("slices_out_of_place", text),)
 
 
 def _with_measured(box: Box, overview: Overview) -> Box:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Box, Cells, Labelled, PlateRegion
-from ct_inertia.find.box import ALONE_MM, IN_SITU_MM, block_for, read_box, repeated_notice
+from ct_inertia.find.box import ALONE_MM, IN_SITU_MM, block_for, read_box
 from ct_inertia.find.choose import Candidate, Search, choose
 from ct_inertia.find.overview import Overview, look_at, noise_of, scan_notices, smooth_noise
 from ct_inertia.find.plate import find_plate, plate_mask
@@ -72,7 +72,7 @@ def _label(scan: Scan, overview: Overview, chosen: Candidate) -> Labelled:
         noise=view.noise,
         separation=view.method if split is None else str(split),
         at_neck=split is not None and split.neck is not None,
-        notices=(*repeated_notice(box), *_cropped_notice(chosen)),
+        notices=_cropped_notice(chosen),
     )
 
 

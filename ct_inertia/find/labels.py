@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Box, Cells, Labelled, PlateRegion
-from ct_inertia.find.box import read_box, repeated_notice
+from ct_inertia.find.box import read_box
 from ct_inertia.find.label_volume import LEAST_VOXELS, read_labels
 from ct_inertia.find.levels import readings
 from ct_inertia.find.overview import Overview, look_at, noise_of, scan_notices
@@ -144,7 +144,7 @@ def _on_scan(drawn: Drawn, grid: Grid, scan: Scan, overview: Overview, notices: 
         noise=noise_of(box.grey),
         separation="labels made elsewhere",
         named=True,
-        notices=(*notices, *repeated_notice(box), *_cut_by_labels(box, local, grid, middle)),
+        notices=(*notices, *_cut_by_labels(box, local, grid, middle)),
     )
 
 

@@ -13,12 +13,13 @@ from ct_inertia.grey.border import with_border
 from ct_inertia.grey.budget import amounts_of, grey_scale_bend, unstated_coat, with_sources
 from ct_inertia.grey.frame_surface import body_surface
 from ct_inertia.grey.media import Coat, Media, coat_notice, media_notices, usual_coat
-from ct_inertia.grey.misfit import broken_slices, gain_over_body, misfit_notice, misfits
+from ct_inertia.grey.misfit import gain_over_body, misfit_notice, misfits
 from ct_inertia.grey.moments import effect, partial_volume_moments
 from ct_inertia.grey.parts import StapesParts
 from ct_inertia.grey.plate_plane import plate_surface
 from ct_inertia.grey.scene import SceneFit, fit_scene
 from ct_inertia.grey.separation import bone_border
+from ct_inertia.grey.slices import with_breaks
 from ct_inertia.grey.start import start
 from ct_inertia.grey.storing import storing_around
 from ct_inertia.voxels.fields import Grey
@@ -65,15 +66,15 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
         moments = moments.with_source("separation", through.covariance)
     misfit = moments.contributions["misfit"][0, 0] if odd else 0.0
     moments, cut = with_border(labelled, moments)
+    moments, breaks = with_breaks(fit, moments, labelled.box.repeated)
 
     notices = [*labelled.notices, *([] if storing is None else storing.notices())]
-    notices += [*through.notices(moments.volume_mm3), *cut]
+    notices += [*through.notices(moments.volume_mm3), *cut, *breaks]
     soft, hollow, mucosa = (
         _share(amount, parts, moments) for amount in (parts.soft, fit.media.void_share, unstated)
     )
     notices += [*media_notices(fit, soft, hollow), *misfit_notice(left, mucosa, bend, gain)]
     notices += [coat_notice(_share(usual_coat(fit), parts, moments))] if coat is None else []
-    notices += broken_slices(fit, parts.residual)
     scene, level = _scene(fit, parts), parts.level
     del parts  # a fifth of the memory, before surfaces need theirs
     return MeasuredBody(

@@ -15,7 +15,6 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.cells import by_cells, mean_by_cells
 from ct_inertia.grey.scene import SceneFit
 from stapeskit.arrays import Array
-from stapeskit.faults import list_some
 from stapeskit.warnings import Notice
 
 _CELL_VOXELS = 8
@@ -23,8 +22,6 @@ _LEAST_VOXELS, _LEAST_CELL = 100, 12
 _LEAST_SHARE = calibrated("misfit.least_share")
 _MIN_Z, _MIN_CHI2 = 7.0, 35.0
 _SUSPECT_Z = 4.0  # a second fit then decides: 1 in 30 000 whole scans by chance
-_BROKEN = 3.0  # mean square of a slice over the median: 1.25 at most in whole scans, 5 where one has gone
-_LEAST_BROKEN = 0.04**2  # of that mean square: what a sharp picture without noise leaves is less
 _DEEP = 0.9  # share of bone from which a voxel shows its level
 _TERMS = 10  # of a polynomial of second order in space
 _LEAST_GAIN = 5e-3  # of the level of bone: less moves volume and frame by less than noise does
@@ -153,30 +150,6 @@ def gain_over_body(fit: SceneFit, residual: Grey, contrast: float) -> Grey | Non
     gain[own] = np.clip(factors @ _quadratic(at), fitted.min(), fitted.max())
     gain[own] += np.float32(fit.contrasts["stapes"] / contrast - 1.0)
     return gain
-
-
-def broken_slices(fit: SceneFit, residual: Grey) -> list[Notice]:
-    """Report slices with several times the residual of the others: they do not continue their neighbours.
-
-    ``residual``: in units of the stapes' contrast. Its mean square in a slice next to the stapes is that of
-    the other slices, whatever the noise and whatever else the model does not hold.
-    """
-    near = fit.own & fit.start.near
-    count = np.count_nonzero(near, axis=(1, 2))
-    square = np.sum(np.where(near, residual, np.float32(0.0)) ** 2, axis=(1, 2)) / np.maximum(count, 1)
-    seen = count > _LEAST_VOXELS
-    usual = float(np.median(square[seen])) if seen.any() else np.inf
-    broken = np.flatnonzero(seen & (square > max(_BROKEN * usual, _LEAST_BROKEN)))
-    if len(broken) < 2:
-        return []
-    grid = fit.start.grid
-    numbers = [str(int(grid.first[2] + k * grid.block[2])) for k in broken]
-    text = (
-        f"Slices {list_some(numbers, 6)}, counted from 0, do not continue their neighbours at the stapes: "
-        "slices are missing, doubled or exchanged there, or the sample has moved. What that changes is not "
-        "in the budget. Look at them, and reconstruct or scan again."
-    )
-    return [Notice("slices_out_of_place", text)]
 
 
 def _quadratic(points: Array) -> Array:

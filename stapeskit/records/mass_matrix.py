@@ -29,6 +29,7 @@ _SOURCE_WORDS = {
     "surroundings": "fluid or tissue around the stapes",
     "separation": "cut between stapes and what touches it",
     "border": "what the border of the scan cuts",
+    "slices": "slices that are missing or doubled",
     "plate": "face of the plate",
     "inhomogeneity": "uneven bone",
     "cupping": "cupping of bone",
