@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 _PLATE_SHIFT = calibrated("plate_frame.level_shift")
 
-_HEAVY = ("pyvista", "scipy.special", "scipy.sparse.linalg", "scipy.spatial")
+_HEAVY = ("scipy.spatial", "scipy.sparse.linalg", "vtkmodules.vtkFiltersCore")
 """Libraries whose import takes most of a second."""
 
 

@@ -19,7 +19,7 @@ from stapeskit.frames import RigidTransform
 from stapeskit.registration import displacement
 from stapeskit.warnings import Notice
 
-_DIRECTIONS = 1200  # over the sphere: 6 degrees apart
+_DIRECTIONS, _PARTS = 1200, 40  # over the sphere: 6 degrees apart; so few at a time fit the processor's cache
 _CELL = 0.02  # edge of the cells that pool triangles, in diameters of the body: a quarter of the face's slab
 _CONE_DEG = calibrated("footplate.search_cone_deg")
 _SLAB = calibrated("footplate.search_slab")
@@ -195,12 +195,14 @@ def extremal_faces(surface: Surface, extent_mm: float) -> list[tuple[Array, floa
 
 def _scores(directions: Array, pieces: tuple[Array, Array, Array], extent_mm: float) -> Array:
     """Return the area (n,) of the face that each direction (n, 3) sees at the extremity of the body."""
-    centres, normals, areas = pieces
-    facing, height = directions @ normals.T, directions @ centres.T
-    seen = (facing > np.cos(np.radians(_CONE_DEG))) & (
-        height > height.max(axis=1)[:, None] - _SLAB * extent_mm
-    )
-    return np.asarray(np.where(seen, facing, 0.0) @ areas)
+    centres, normals, areas = (values.astype(np.float32) for values in pieces)
+    scores = []
+    for some in np.array_split(directions.astype(np.float32), _PARTS):
+        facing, height = some @ normals.T, some @ centres.T
+        facing[height < height.max(axis=1)[:, None] - np.float32(_SLAB * extent_mm)] = 0.0
+        facing[facing < np.float32(np.cos(np.radians(_CONE_DEG)))] = 0.0
+        scores.append(facing @ areas)
+    return np.concatenate(scores)
 
 
 def _pooled(surface: Surface, cell_mm: float) -> tuple[Array, Array, Array]:

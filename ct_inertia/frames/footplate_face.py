@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import BodySurface
 from ct_inertia.frames.footplate_cut import Cone, Face, no_face
 from ct_inertia.surface.fields import Diffusion, refined, ring_normals, unit
-from ct_inertia.surface.surface import Faces, Surface
+from ct_inertia.surface.surface import Faces, Surface, chosen_part
 from stapeskit.arrays import Array
 
 FACE_ANGLE_DEG = 60.0
@@ -31,7 +31,7 @@ EDGE_MM = 0.04
 
 _DEPTH_MM, _DEEPER = 0.6, 1.5  # of the region around a footplate; deeper where the face reaches its end
 _CONE_TURN = 0.05  # turn of y (rad) after which that part is cut anew: a third of its margin
-_ROUNDS, _STILL_RAD = 60, 1e-7  # of the fixed point and of its plane: a hundredth of what noise leaves
+_ROUNDS, _STILL_RAD = 60, 1e-5  # of the fixed point and of its plane: a hundredth of what noise leaves
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def solve_at(surface: Surface, outward: Array, extent_mm: float, body: BodySurfa
     StapeskitError
         No region holds the face whole: it is no part of a closed surface.
     """
-    depth = max(_DEPTH_MM, 0.15 * extent_mm)
+    depth = max(_DEPTH_MM, 0.1 * extent_mm)
     while True:
         region = region_around(surface, outward, depth, body)
         face, y_axis = _fixed_point(region, -outward, region.normals)
@@ -130,16 +130,15 @@ def solve_at(surface: Surface, outward: Array, extent_mm: float, body: BodySurfa
 def region_around(surface: Surface, outward: Array, depth_mm: float, body: BodySurface | None) -> Region:
     """Cut out what lies within a depth of the extreme plane across a direction, and take its blur back."""
     middle = np.round(surface.vertices_mm.mean(axis=0), 3)
-    mesh = surface.mesh()
-    mesh.points = mesh.points - middle
-    limit = float(np.max(mesh.points @ outward)) - depth_mm
-    mesh = mesh.clip(normal=-outward, origin=outward * limit).triangulate()
-    corners = mesh.points[mesh.regular_faces]
+    points, faces = surface.vertices_mm - middle, surface.faces
+    limit = float((points @ outward).max()) - depth_mm
+    points, faces = chosen_part(points, faces, np.any((points @ outward > limit)[faces], axis=1))
+    corners = points[faces]
     edge = float(np.median(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=-1)))
-    mesh = refined(mesh.clean(), EDGE_MM).clean().triangulate()
-    points, faces = np.asarray(mesh.points, dtype=float), np.asarray(mesh.regular_faces, dtype=np.int64)
+    points, faces = refined(points, faces, EDGE_MM)
+    points, faces = chosen_part(points, faces, np.any((points @ outward > limit)[faces], axis=1))
     diffusion = Diffusion(points, faces, NORMAL_SCALE_MM)
-    ends = points @ outward < limit + 1e-6
+    ends = points @ outward <= limit
     across = None if body is None else ring_normals(Surface(points, faces))
     region = Region(faces, middle, points, unit(diffusion.normals()), diffusion, across, ends, edge)
     return region.sharpened(body.blur_mm) if body is not None and body.blur_mm > 0.0 else region

@@ -15,8 +15,8 @@ import numpy as np
 from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.footplate import FootplateFrame
 from ct_inertia.frames.footplate_face import EDGE_MM, NORMAL_SCALE_MM
-from ct_inertia.surface.fields import Diffusion, refined, unit
-from ct_inertia.surface.surface import Surface, as_mesh
+from ct_inertia.surface.fields import refined, ring_normals, sum_at_corners, unit
+from ct_inertia.surface.surface import Surface, chosen_part
 from stapeskit.arrays import Array
 
 FARTHEST_MM = 0.25
@@ -118,13 +118,11 @@ def _near(points: Array, surface: Surface, low: float, places: Array) -> tuple[A
     high = (points[:, 1] > low - _BELOW_MM - margin) & (points[:, 1] < low + _HEIGHT_MM + margin)
     near = np.zeros(len(points), dtype=bool)
     near[high] = cKDTree(places).query(points[high][:, [0, 2]])[0] < FARTHEST_MM + margin
-    faces = surface.faces[np.all(near[surface.faces], axis=1)]
-    if not len(faces):
+    inside = np.all(near[surface.faces], axis=1)
+    if not inside.any():
         return None
-    used, place = np.unique(faces, return_inverse=True)
-    part = refined(as_mesh(points[used], place.reshape(-1, 3)), EDGE_MM).clean()
-    vertices, corners = np.asarray(part.points, dtype=float), np.asarray(part.regular_faces, dtype=np.int64)
-    return vertices, unit(Diffusion(vertices, corners, NORMAL_SCALE_MM).normals())
+    vertices, faces = refined(*chosen_part(points, surface.faces, inside), EDGE_MM)
+    return vertices, unit(sum_at_corners(faces, ring_normals(Surface(vertices, faces)), len(vertices)))
 
 
 def _distances(rim: tuple[Array, Array], wall: tuple[Array, Array], places: Array, outward: Array) -> Array:

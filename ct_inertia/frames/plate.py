@@ -113,9 +113,10 @@ def plane_faces(surface: Surface) -> list[PlaneFace]:
     if surface.on_border is not None:
         at_border = np.count_nonzero(surface.on_border[surface.faces], axis=1)
     least = _LEAST_SHARE * float(areas.sum())
+    every = _Pieces(surface.centres_mm, ring_normals(surface), areas)
     faces: list[PlaneFace] = []
     for border, chosen in ((False, at_border == 0), (True, at_border == 3)):
-        pieces = _Pieces(surface.centres_mm, ring_normals(surface), areas).chosen(chosen)
+        pieces = every.chosen(chosen)
         failures = 0
         while pieces.areas.sum() > least and failures < _FAILURES:
             face, members = _largest(pieces)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from ct_inertia.bodies import Grey
-from ct_inertia.surface.surface import Faces, Surface
+from ct_inertia.surface.surface import Faces, Surface, chosen_part
 from ct_inertia.voxels.masks import starts, used_box, widened
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
+from stapeskit.polydata import arrays_of
 
 _LEAST_CAVITY = 1e-3  # of the volume of the body: a smaller cavity is noise, and weighs less than it
 
@@ -59,12 +58,19 @@ def padded_part(field: Grey) -> tuple[Array, Grey]:
 
 def zero_surface(field: Grey, largest: bool = True) -> tuple[Array, Faces]:
     """Return points (n, 3; index x, y, z) and outward faces of a zero surface, or of its largest piece."""
-    import pyvista as pv
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+    from vtkmodules.vtkCommonDataModel import vtkImageData
+    from vtkmodules.vtkFiltersCore import vtkFlyingEdges3D
 
-    grid = pv.ImageData(dimensions=field.shape[::-1])
-    values: Any = field.ravel()
-    found = grid.contour([0.0], scalars=values, method="flying_edges", compute_scalars=False)
-    points, faces = np.asarray(found.points, dtype=float), np.asarray(found.regular_faces, dtype=np.int64)
+    grid, edges = vtkImageData(), vtkFlyingEdges3D()
+    grid.SetDimensions(*field.shape[::-1])
+    grid.GetPointData().SetScalars(numpy_to_vtk(field.ravel()))
+    edges.SetInputData(grid)
+    edges.SetValue(0, 0.0)
+    edges.ComputeNormalsOff()
+    edges.ComputeScalarsOff()
+    edges.Update()
+    points, faces = arrays_of(edges.GetOutput())
     if not len(faces):
         raise _nothing()
     a, b, c = (points[faces[:, k]] - points[faces[0, 0]] for k in range(3))
@@ -95,10 +101,7 @@ def _largest(points: Array, faces: Faces, parts: Array) -> tuple[Array, Faces]:
     outside = np.bincount(piece, np.any((points < low) | (points > high), axis=1), minlength=pieces) > 0
     kept = (volume < -_LEAST_CAVITY * volume[main]) & ~outside
     kept[main] = True
-    faces = faces[kept[piece[faces[:, 0]]]]
-    used = np.zeros(count, dtype=bool)
-    used[faces] = True
-    return points[used], np.asarray((np.cumsum(used) - 1)[faces], dtype=np.int64)
+    return chosen_part(points, faces, kept[piece[faces[:, 0]]])
 
 
 def placed(points: Array, faces: Faces, scan_from_index: Array, shape: tuple[int, ...]) -> Surface:

@@ -5,15 +5,11 @@ Nothing here depends on the triangles beyond their resolution, only on the surfa
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ct_inertia.surface.surface import Faces, Surface
 from stapeskit.arrays import Array
-
-if TYPE_CHECKING:
-    from pyvista import PolyData
+from stapeskit.polydata import arrays_of, polydata
 
 _LEAST_SINE = (
     0.1  # twice the area over the square of the longest edge: the stiffness of slivers is limited there
@@ -88,12 +84,19 @@ def unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30))
 
 
-def refined(mesh: PolyData, edge_mm: float) -> PolyData:
-    """Return a triangle mesh whose longer edges are bisected; the surface itself does not change."""
-    if not mesh.n_cells:
-        return mesh
-    corners = mesh.points[mesh.regular_faces]
-    longest = float(np.max(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=-1)))
-    if longest <= edge_mm:
-        return mesh
-    return mesh.subdivide_adaptive(max_edge_len=edge_mm, max_tri_area=1e9, max_n_passes=12)
+def refined(points: Array, faces: Faces, edge_mm: float) -> tuple[Array, Faces]:
+    """Bisect the longer edges of a triangle mesh; the surface itself does not change."""
+    corners = points[faces]
+    if np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=-1).max(initial=0.0) <= edge_mm:
+        return points, faces
+    from vtkmodules.vtkFiltersCore import vtkCleanPolyData
+    from vtkmodules.vtkFiltersModeling import vtkAdaptiveSubdivisionFilter
+
+    divide, merge = vtkAdaptiveSubdivisionFilter(), vtkCleanPolyData()
+    divide.SetInputData(polydata(points, faces))
+    divide.SetMaximumEdgeLength(edge_mm)
+    divide.SetMaximumTriangleArea(1e9)
+    divide.SetMaximumNumberOfPasses(12)
+    merge.SetInputConnection(divide.GetOutputPort())
+    merge.Update()
+    return arrays_of(merge.GetOutput())

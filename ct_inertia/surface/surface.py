@@ -133,6 +133,14 @@ def as_mesh(points: Array, faces: NDArray[np.integer]) -> PolyData:
     return pv.PolyData.from_regular_faces(points, corners)
 
 
+def chosen_part(points: Array, faces: Faces, kept: NDArray[np.bool_]) -> tuple[Array, Faces]:
+    """Return some of the faces (m, 3), and the points (n, 3) that they use."""
+    faces = faces[kept]
+    used = np.zeros(len(points), dtype=bool)
+    used[faces] = True
+    return points[used], np.asarray((np.cumsum(used) - 1)[faces], dtype=np.int64)
+
+
 def enclosed_moments(vertices: Array, faces: Faces) -> tuple[float, Array, Array]:
     """Return volume, centroid (3,) and second moments about it (3, 3) inside closed faces; any unit.
 

@@ -29,8 +29,7 @@ STAPES = POSE.points([0.2, 1.5, 0.1])
 
 def slab(length: float, width: float, pose: RigidTransform = POSE) -> Surface:
     solid = box([-0.5 * length, -0.5, -0.5 * width], [0.5 * length, 0.0, 0.5 * width]).moved(pose)
-    mesh = refined(Surface(solid.vertices_mm, solid.faces).mesh(), 0.15)
-    return Surface(np.asarray(mesh.points, dtype=float), np.asarray(mesh.regular_faces, dtype=np.int64))
+    return Surface(*refined(solid.vertices_mm, solid.faces, 0.15))
 
 
 def codes(frame: PlateFrame) -> set[str]:
