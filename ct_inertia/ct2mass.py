@@ -192,8 +192,14 @@ def _mesh(work: _Work) -> tuple[Surface, Moments]:
 def _measured_body(work: _Work, progress: Progress, inputs: Inputs) -> MeasuredBody:
     """Open the scan, find the stapes or take the labels, and measure it."""
     from ct_inertia.grey.measure import measure
+    from ct_inertia.mass.sizes import check_unit
+    from ct_inertia.voxels.masks import used_box
 
     labelled = _labelled(work, progress, inputs)
+    used = used_box(labelled.stapes) if labelled.named else None
+    if used is not None:
+        size_mm = np.array([part.stop - part.start for part in used[::-1]]) * labelled.box.spacing_mm
+        check_unit(float(size_mm.max()), "the stapes", work.options.source.name)
     progress("measuring the stapes")
     return_memory()
     work.measured = measure(labelled, work.options.coat)

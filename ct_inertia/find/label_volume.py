@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES
 from ct_inertia.scan.scan import Scan
 from ct_inertia.voxels.masks import used_box
-from stapeskit.faults import StapeskitError
+from stapeskit.faults import StapeskitError, list_some
 from stapeskit.warnings import Notice
 
 LEAST_VOXELS = 50
@@ -66,7 +66,7 @@ def read_labels(
         raise StapeskitError.of(
             "the label volume",
             f"one with a stapes (number {number})",
-            f"{count} voxels of it; numbers present: {', '.join(map(str, known[:12]))}",
+            f"{count} voxels of it; numbers present: {list_some(map(str, known), 12)}",
             labels.name,
             "Name the stapes' number with --stapes-label",
         )
@@ -133,7 +133,7 @@ def body_numbers(
     if stapes is None:
         unnamed = all(_AUTOMATIC.fullmatch(names.get(number, "").strip()) for number in present)
         if not unnamed or not set(present) <= {1, 2, 3} or STAPES not in present:
-            listed = ", ".join(f"{number} {names.get(number, '')}".strip() for number in present)
+            listed = list_some((f"{number} {names.get(number, '')}".strip() for number in present), 12)
             raise StapeskitError.of(
                 "the label volume",
                 "one with a segment named stapes, or with the stapes as number 1 and the plate as 2",
@@ -152,7 +152,7 @@ def body_numbers(
         raise StapeskitError.of("--plate-label", "another number than the stapes'", plate, where, step)
     for option, number in (("--stapes-label", stapes), ("--plate-label", plate)):
         if number is not None and number not in present:
-            listed = ", ".join(map(str, present))
+            listed = list_some(map(str, present), 12)
             raise StapeskitError.of(option, f"a number in the label volume ({listed})", number, where)
     return stapes, plate
 
@@ -162,6 +162,7 @@ def _number_by_name(
 ) -> int | None:
     """Return the number of the segment whose name contains a pattern; an exact match wins."""
     matching = [number for number, name in names.items() if number != other and pattern.search(name)]
+    matching = [number for number in matching if not _SOFT.search(names[number])] or matching
     exact = [number for number in matching if pattern.fullmatch(names[number].strip())]
     matching = exact if len(exact) == 1 else matching
     if len(matching) > 1:

@@ -166,7 +166,7 @@ def _grid_in(scan: Scan, labels: Scan) -> Grid:
             raise StapeskitError.of(
                 "the label volume",
                 f"on the voxels of the scan ({_in_words(scan)})",
-                _in_words(labels),
+                _in_words(labels) + (" and other axes" if turned >= 1e-3 else ""),
                 labels.name,
                 "Resample it onto the scan, or give --labels alone",
             )

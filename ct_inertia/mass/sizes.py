@@ -11,6 +11,7 @@ import numpy as np
 from ct_inertia.frames.footplate import FootplateFrame
 from ct_inertia.surface.repair import pieces
 from ct_inertia.surface.surface import Surface, enclosed_moments
+from ct_inertia.surface.winding import winding_number
 from stapeskit.faults import StapeskitError
 from stapeskit.report.quantities import MASS
 from stapeskit.warnings import Notice
@@ -99,7 +100,7 @@ POSSIBLE = {
 }
 """Sizes that a human stapes can have: far wider than real ones."""
 
-_MESH_MM, _TYPICAL_MM = (1.0, 12.0), 3.5  # longest extent of a mesh of a stapes in mm, and the usual one
+_BODY_MM, _TYPICAL_MM = (1.0, 12.0), 3.5  # longest extent of a named body in mm, and the usual one
 _UNITS = {"metres": 1e3, "centimetres": 10.0, "inches": 25.4, "micrometres": 1e-3, "nanometres": 1e-6}
 _LEAST_BODY = 1e-6  # of the largest body of a mesh: a smaller one is a speck of rounding
 
@@ -188,28 +189,41 @@ def check_mesh(mesh: Surface, name: str) -> None:
     Raises
     ------
     StapeskitError
-        More than one piece encloses a positive volume (a cavity does not), or the longest extent is below 1
-        or above 12 mm.
+        More than one piece encloses a volume (a cavity in the largest does not), or the longest extent is
+        below 1 or above 12 mm.
     """
-    volumes = body_volumes(mesh)
-    bodies = sorted((volume for volume in volumes if volume > _LEAST_BODY * max(volumes)), reverse=True)
+    parts = pieces(mesh.faces)
+    volumes = np.array([enclosed_moments(mesh.vertices_mm, mesh.faces[part])[0] for part in parts])
+    largest = mesh.faces[parts[int(np.argmax(volumes))]]
+    corners = mesh.vertices_mm[[mesh.faces[part[0], 0] for part in parts]]
+    cavity = (volumes < 0.0) & (winding_number(mesh.vertices_mm, largest, corners) > 0.5)
+    sizes = np.abs(volumes[~cavity])
+    bodies = sorted(sizes[sizes > _LEAST_BODY * sizes.max()], reverse=True)
     if len(bodies) > 1:
         listed = ", ".join(f"{volume:.3g}" for volume in bodies[:4])
         got = f"{len(bodies)} bodies (of {listed}{' ...' if len(bodies) > 4 else ''} mm3)"
         step = "Remove the others, or join them into one closed body, and export it again"
         raise StapeskitError.of("the mesh", "one closed body, the stapes", got, name, step)
-    size = float(np.max(np.ptp(mesh.vertices_mm, axis=0)))
-    if _MESH_MM[0] <= size <= _MESH_MM[1]:
+    check_unit(float(np.max(np.ptp(mesh.vertices_mm, axis=0))), "the mesh", name)
+
+
+def check_unit(size_mm: float, thing: str, name: str) -> None:
+    """Refuse a named body whose longest extent shows another unit, or voxel spacing, than mm.
+
+    Raises
+    ------
+    StapeskitError
+        It is below 1 or above 12 mm.
+    """
+    if _BODY_MM[0] <= size_mm <= _BODY_MM[1]:
         return
-    unit, factor = min(_UNITS.items(), key=lambda entry: abs(np.log(size * entry[1] / _TYPICAL_MM)))
-    known = 0.5 < size * factor / _TYPICAL_MM < 2.0
+    unit, factor = min(_UNITS.items(), key=lambda entry: abs(np.log(size_mm * entry[1] / _TYPICAL_MM)))
+    known = 0.5 < size_mm * factor / _TYPICAL_MM < 2.0
     probable = f"it is probably in {unit}" if known else "its unit may be that of the voxels"
-    step = f"Export it in mm (multiply it by {factor:g})" if known else "Export it in mm"
-    got = f"{size:.3g} mm; {probable}"
-    raise StapeskitError.of("the mesh", "in mm: a stapes is 3 to 4 mm long", got, name, step)
-
-
-def body_volumes(mesh: Surface) -> list[float]:
-    """Return the enclosed volume, mm3, of every connected piece of a mesh; negative for a cavity."""
-    volumes = [enclosed_moments(mesh.vertices_mm, mesh.faces[piece])[0] for piece in pieces(mesh.faces)]
-    return [volume for volume in volumes if volume != 0.0]
+    step = (
+        f"Export it in mm (multiply it by {factor:g})"
+        if known
+        else "Export it in mm, or correct the voxel spacing"
+    )
+    got = f"{size_mm:.3g} mm; {probable}"
+    raise StapeskitError.of(thing, "in mm: a stapes is 3 to 4 mm long", got, name, step)

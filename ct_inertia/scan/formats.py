@@ -88,8 +88,8 @@ _LAYOUT = (
 )
 _DICOM = "a series of slices: order by position, rescaling of every slice; several series are listed"
 _SLICES = (
-    "TIFF, PNG, BMP, JPEG in the order of their numbers, gaps reported; pixel size of the Bruker/SkyScan "
-    "reconstruction log"
+    "TIFF, PNG, BMP, JPEG, JPEG 2000 in the order of their numbers, gaps reported; pixel size of the "
+    "Bruker/SkyScan reconstruction log"
 )
 
 RAW = Format("raw voxels", "raw.open_raw", _LAYOUT, (".raw", ".vol", ".bin", ".dat", ".img"))

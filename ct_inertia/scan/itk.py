@@ -58,7 +58,8 @@ def open_nrrd(path: Path) -> Stored:
         raise StapeskitError.of("the units", "the same along all axes", ", ".join(units), next_step=step)
     file, start = _data_file(path, fields.get("datafile", ""), end)
     stream = Stream(file, start, _whole(fields, "byteskip"), _NRRD_PACKED[encoding], exact=True)
-    stated = "spacings" in fields or "spacedirections" in fields
+    # NaN says that nobody knows.
+    stated = re.search(r"\d", fields.get("spacings", "") + fields.get("spacedirections", "")) is not None
     big = fields.get("endian", "").lower() == "big"
     stored, layers, segments = _geometry(path, factors.pop() if factors else 1.0, stated, big)
     stored.voxels, stored.anatomical = stream, _PATIENT.fullmatch(space) is not None

@@ -89,7 +89,7 @@ def open_labels(
 
 def _constant(scan: Scan, value: object) -> StapeskitError:
     wanted, got = "a picture with differing grey values", f"{value} in every voxel"
-    step = "Check that this is the reconstructed volume, and export it again"
+    step = "Check that it is the right volume, and export it again"
     return StapeskitError.of("the volume", wanted, got, scan.name, step)
 
 

@@ -16,7 +16,7 @@ from ct_inertia.scan.stored import Stored, by_planes, native
 from ct_inertia.scan.tiff import describe_slice, listening
 from stapeskit.faults import StapeskitError
 
-SLICE_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
+SLICE_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg", ".jp2")
 
 _TIFF = (".tif", ".tiff")
 _PREVIEW = re.compile(r"_spr$|_arc$|^\.", re.IGNORECASE)  # pictures that SkyScan's programs add
@@ -76,7 +76,8 @@ def _series(folder: Path) -> tuple[list[Path], list[int], int]:
     ranked = sorted(series, key=lambda name: (-len(series[name]), name))
     if not ranked or len(series[ranked[0]]) < 2:
         wanted = "a series of numbered slices (TIFF, PNG, BMP, JPEG) or a DICOM series"
-        raise StapeskitError.of("the folder", wanted, f"{len(images)} image files", next_step=_APART)
+        step = "Give the folder that holds the slices of one scan themselves, and no others"
+        raise StapeskitError.of("the folder", wanted, f"{len(images)} image files", next_step=step)
     if len(ranked) > 1 and len(series[ranked[1]]) >= max(2, _RIVAL * len(series[ranked[0]])):
         listed = ", ".join(f"{name} ({len(series[name])} slices)" for name in ranked[:4])
         raise StapeskitError.of("the folder", "one series of numbered slices", listed, next_step=_APART)

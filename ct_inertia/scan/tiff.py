@@ -37,7 +37,8 @@ def open_tiff(path: Path) -> Stored:
     import tifffile
 
     with listening(path):
-        tif = tifffile.TiffFile(path)
+        # Otherwise pages are taken to be alike when the first, the second, the eighth and the last one are.
+        tif: Any = tifffile.TiffFile(path, is_uniform=False)
         meta: dict[str, Any] = (tif.imagej_metadata or {}) if tif.is_imagej else {}
         _check_count(tif, int(meta.get("images") or 0), path)
         xml = (tif.ome_metadata or "") if tif.is_ome else ""
@@ -56,6 +57,9 @@ def open_tiff(path: Path) -> Stored:
         pages = list(series.pages) if len(series.pages) == stored.shape[0] else []
         if any(one is None for one in pages):
             raise wrong_file("TIFF", "a missing plane: a file of the image is missing")
+        if series.kind == "generic" and len(set(np.diff([one.index for one in pages]))) > 1:
+            got, step = "others between them, which would be left out", "Export the whole stack again"
+            raise StapeskitError.of("the pages of the TIFF", "of one size and type", got, next_step=step)
         planes = _raw_planes(series, pages, page, stored)
 
     def decoded(source: Any, shape: Sequence[int]) -> NDArray[Any]:

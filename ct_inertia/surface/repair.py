@@ -80,7 +80,7 @@ def _check_stl_count(path: Path) -> None:
     with path.open("rb") as stream:
         counted = int.from_bytes(stream.read(_STL_HEADER)[80:], "little")
     held = (size - _STL_HEADER) / _STL_TRIANGLE
-    if held != counted:
+    if held != counted < 1 << 24:  # beyond, it is text
         wanted, got = f"one with the {counted} triangles that its header counts", f"{held:.6g} of them"
         raise StapeskitError.of("the STL file", wanted, got, path.name, "Copy or export it again")
 
@@ -137,9 +137,14 @@ def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Surfa
 
 
 def _joined(vertices: Array, faces: Faces) -> tuple[Array, Faces, int]:
-    """Join corners that coincide and those that differ by rounding, which are counted; drop empty faces."""
+    """Join corners that coincide and those that differ by rounding, which are counted; drop empty faces.
+
+    Corners without a face are left out: they would count to the size of the body.
+    """
     from scipy.spatial import cKDTree
 
+    used, numbers = np.unique(faces, return_inverse=True)
+    vertices, faces = vertices[used], numbers.reshape(-1, 3)
     vertices, place = np.unique(vertices, axis=0, return_inverse=True)
     reach = _SAME_CORNER * float(np.linalg.norm(np.ptp(vertices, axis=0)))
     group = _groups(cKDTree(vertices).query_pairs(reach, output_type="ndarray"), len(vertices))

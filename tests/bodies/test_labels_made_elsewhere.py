@@ -30,6 +30,7 @@ FOUND = [
     ({1: "Segment_1"}, [1], None, None, (1, None)),
     ({1: "a", 2: "b"}, [1, 2, 7], 7, 2, (7, 2)),
     ({5: "footplate", 6: "stapes"}, [5, 6], 6, None, (6, None)),
+    ({1: "left stapes", 2: "stapedius muscle"}, [1, 2], None, None, (1, None)),
 ]
 
 

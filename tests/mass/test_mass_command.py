@@ -10,6 +10,7 @@ import pytest
 
 from ct_inertia.api import ct2mass
 from ct_inertia.cli import work
+from ct_inertia.exports.labels import write_segmentation
 from ct_inertia.exports.write import EXPORTS
 from ct_inertia.options import EXPORTS as EXPORT_NAMES
 from ct_inertia.report.pictured import pictured_from
@@ -67,6 +68,15 @@ def test_a_scan_is_measured_within_its_stated_sd(study: Study) -> None:
     sd = np.sqrt(np.diag(sum(parts.values())))
     exact = truth.parameters_si * (1900.0 / truth.ear.density_kg_m3)
     assert np.all(np.abs(result.matrix.parameters - exact) < 4.5 * sd)
+
+
+def test_labels_in_another_unit_are_refused_before_a_frame_of_metres_is_sought(tmp_path: Path) -> None:
+    labels = np.zeros((40, 40, 40), dtype=np.uint8)
+    labels[5:-5, 5:-5, 15:-15] = 1
+    write_segmentation(tmp_path / "a.seg.nrrd", [labels], labels.shape, np.eye(4))
+    with pytest.raises(StapeskitError) as caught:
+        ct2mass(labels=tmp_path / "a.seg.nrrd")
+    assert caught.value.faults[0].thing == "the stapes"
 
 
 def test_labels_state_no_smaller_sd_than_the_scan_alone(study: Study) -> None:

@@ -260,9 +260,11 @@ def test_a_mesh_in_another_unit_is_refused(scale: float, unit: str) -> None:
     assert unit in error.value.faults[0].got
 
 
-def test_a_mesh_of_two_bodies_is_refused() -> None:
+@pytest.mark.parametrize("sense", [1, -1])
+def test_a_mesh_of_two_bodies_is_refused(sense: int) -> None:
+    """Also where the other one is wound the other way, as a cavity is: it lies outside."""
     ball = ellipsoid([4.0, 0.0, 0.0], [0.3, 0.3, 0.3])
-    both = joined(SOLID, ball)
+    both = joined(SOLID, Surface(ball.vertices_mm, ball.faces[:, ::sense]))
     with pytest.raises(StapeskitError) as error:
         check_mesh(Surface(both.vertices_mm, both.faces), "a.stl")
     assert error.value.faults[0].expected == "one closed body, the stapes"

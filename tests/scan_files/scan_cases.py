@@ -65,6 +65,7 @@ CASES = {
     "folder_big": Case(w.slices, ("u2", "f4"), {"byteorder": ">"}, True, entry="a folder of slices"),
     "folder_lzw": Case(w.slices, ("u2",), {"compression": "lzw"}, True, entry="a folder of slices"),
     "folder_png": Case(w.slices, ("u1", "u2"), {"ending": "png"}, True, entry="a folder of slices"),
+    "folder_jp2": Case(w.slices, ("u1", "u2"), {"ending": "jp2"}, True, entry="a folder of slices"),
     "folder_bmp": Case(w.slices, ("u1",), {"ending": "bmp"}, True, entry="a folder of slices"),
     "a.isq": Case(own.isq, ("i2",), entry="Scanco ISQ"),
     "a.ISQ;1": Case(own.isq, ("i2",), entry="Scanco ISQ"),

@@ -89,6 +89,13 @@ def test_corners_that_differ_by_rounding_are_joined():
     assert len(mesh.vertices_mm) == len(VERTICES)
 
 
+def test_corners_without_faces_do_not_count_to_the_size():
+    mesh = mend(np.vstack([[[900.0, 0.0, 0.0]], VERTICES]), FACES + 1, "a.ply")
+    assert_whole(mesh)
+    assert mesh.notices == ()
+    assert len(mesh.vertices_mm) == len(VERTICES)
+
+
 def test_doubled_faces_count_once_and_touching_bodies_stay():
     mesh = mend(VERTICES, np.vstack([FACES, FACES[:9], FACES[20:23, ::-1]]), "a.stl")
     assert_whole(mesh)

@@ -101,6 +101,8 @@ def test_units_of_nrrd_and_metaimage(tmp_path):
     um = " ".join(f"{s * 1e3:g}" for s in SPACING)
     path = w.nrrd(tmp_path / "a.nrrd", picture(), spacings=um, units='"um" "um" "um"')
     assert open_scan(path).spacing_mm == pytest.approx(SPACING)
+    unset = w.nrrd(tmp_path / "b.nrrd", picture(), spacings="NaN NaN NaN")
+    assert refused(unset).thing == "the voxel spacing"
     path = w.meta(tmp_path / "a.mha", picture(), ElementSpacing=um, DistanceUnits="um", Offset="1000 0 0")
     scan = open_scan(path)
     assert scan.spacing_mm == pytest.approx(SPACING)

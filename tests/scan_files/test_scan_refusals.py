@@ -63,6 +63,17 @@ def test_claims_of_terabytes_are_refused_before_anything_is_allocated(tmp_path, 
         assert "420 bytes" in refused(tmp_path / "a.nii.gz").got
 
 
+@pytest.mark.parametrize("odd", [np.zeros((5, 5), "u1"), np.zeros((6, 5), "u2"), np.zeros((8, 7), "u1")])
+def test_a_page_of_another_size_or_type_between_the_others_is_neither_left_out_nor_misread(tmp_path, odd):
+    array = picture("u1", (20, 6, 5))
+    for place, held in ((11, None), (0, array[1:])):  # what lies before the stack is a preview
+        path = w.pages(tmp_path / f"{place}.tif", [*array[:place], odd, *array[place + 1 :]])
+        if held is None:
+            assert refused(path).thing == "the pages of the TIFF"
+        else:
+            assert np.array_equal(open_scan(path, SPACING).read(), held)
+
+
 def test_zarr_metadata_that_are_none(tmp_path):
     folder = w.ome_zarr(tmp_path / "a", picture())
     meta = json.loads((folder / "0" / ".zarray").read_text())
