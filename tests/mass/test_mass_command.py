@@ -19,6 +19,7 @@ from ct_inertia.results import MassResult
 from ct_inertia.scan.open_scan import open_labels
 from ct_inertia.surface.surface import Surface
 from simulate import Ear, Scan, Stapes, simulate_study, stapes_solid, write_labels
+from stapeskit.faults import StapeskitError
 from stapeskit.outputs import MANIFEST
 from stapeskit.records.mass_file import read_mass, read_mass_json
 from stapeskit.registration import displacement
