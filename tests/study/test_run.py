@@ -46,24 +46,6 @@ def test_one_verdict_in_the_same_words_everywhere(finished: StudyResult) -> None
     assert level in study_page(finished).html()
 
 
-def test_a_finished_scan_is_not_measured_again(
-    finished: StudyResult, small: tuple[Path, Truth], tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    shutil.copytree(finished.out, out)
-    study = tmp_path / "study.toml"
-    text = (small[0] / "study.toml").read_text()
-    for path in small[0].iterdir():
-        if path.name != "study.toml":
-            (tmp_path / path.name).symlink_to(path)
-    study.write_text(text.replace("[fit]", "[fit]\nband_hz = [600, 4000]"))
-    before = (out / "mass.json").stat().st_mtime_ns
-    again = run_study(study, out)
-    assert again.reused == ("scan",)
-    assert (out / "mass.json").stat().st_mtime_ns == before
-    assert again.fit.found.data.count < finished.fit.found.data.count
-
-
 def copied(small: tuple[Path, Truth], folder: Path, fit: str = "", study: str = "") -> Path:
     """Return the study in another folder, with further keys."""
     for path in small[0].iterdir():
