@@ -132,6 +132,15 @@ def test_the_law_is_named_and_alike_laws_are_not_counted(law):
     assert result.values[[0]] == pytest.approx(truth[:1], rel=0.05)
 
 
+def test_laws_that_noise_makes_alike_are_named_and_in_the_intervals():
+    motion, _ = paper_motion(1.5, 3, 12, band=(1500.0, 2200.0))
+    result = fit(motion, M, damping="compare")
+    assert "law_ambiguous" in codes(result)
+    other = fit(motion, M, damping=result.laws_alike[0], unknowns="none")
+    change = np.abs(np.diag(other.stiffness - result.stiffness))
+    assert np.all(change < 2.0 * np.diag(result.standard_deviation[0]))
+
+
 def test_a_wrong_law_is_named_as_the_cause():
     motion, _ = paper_motion(0.01, 4, 100, "hysteretic")
     result = fit(motion, M)

@@ -260,6 +260,11 @@ def test_mass_of_a_plain_file(tmp_path):
     assert refused(lambda: read_mass_csv(tmp_path / "none.csv", DOF))[0].thing == "--mass"
 
 
+def test_a_mass_of_no_stapes_and_one_that_lacks_the_plane_are_named():
+    assert "implausible_mass" in codes(fit(paper_motion(0.02, 1, 40)[0], 100.0 * M))
+    assert "inplane_neglected" in codes(fit(ring_ear(1, lines=24).motion, M))
+
+
 def test_lines_with_missing_values_are_left_out_and_counted():
     motion, _ = paper_motion(0.02, 1)
     q = motion.q.copy()

@@ -86,6 +86,7 @@ def test_json_summary_and_verdict_say_the_same(ear):
     content = result.content()
     assert content["verdict"]["sentence"] == dict(result.summary())["verdict"] == result.verdict.sentence
     assert result.verdict.sentence in repr(result)
+    assert result.plot().axes
     text = json.dumps(content, allow_nan=False)
     assert json.loads(text)["schema"] == "stapeskit.kd/1"
     needed = (
@@ -99,8 +100,9 @@ def test_json_summary_and_verdict_say_the_same(ear):
 
 
 def test_json_has_intervals_and_what_was_left_out():
-    result = fit(paper_motion(0.02, 1, 40)[0], M, exclude_hz=[[900.0, 1100.0]])
+    result = fit(paper_motion(0.02, 1, 40)[0], M, exclude_hz=[[900.0, 1100.0]], monte_carlo=2)
     content = result.content()
+    assert content["monte_carlo"]["refits"] == 2
     assert content["model"]["excluded_hz"] == [[900.0, 1100.0]]
     low, high = content["intervals_95_si"]["K11"]
     assert low < content["stiffness_si"][0][0] - content["stiffness_sd_si"][0][0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import io
 import json
 import os
 import signal
@@ -14,6 +15,7 @@ from pathlib import Path
 import pytest
 
 import stapeskit
+from stapeskit.command import progress_line
 
 PROGRAM = """
 import sys, time
@@ -136,6 +138,21 @@ def test_names_of_files_cannot_steer_the_terminal(end: str) -> None:
     assert "scan?[2J" in said
     assert "µ.tif" in said
     assert not {letter for letter in said if not letter.isprintable()} - {"\n", "\t"}
+
+
+def test_a_terminal_shows_stage_share_and_time_left_and_is_clean_at_the_end(monkeypatch) -> None:
+    terminal = io.StringIO()
+    monkeypatch.setattr(terminal, "isatty", lambda: True)
+    monkeypatch.setattr("sys.stderr", terminal)
+    times = iter((0.0, 0.0, 10.0))
+    with monkeypatch.context() as patch:
+        patch.setattr("time.monotonic", lambda: next(times))
+        with progress_line() as report:
+            report("measuring")
+            report("measuring", 0.25)
+    *_, shown, end = terminal.getvalue().split("\r")
+    assert all(word in shown for word in ("measuring", "25 %", "30 s"))
+    assert "measuring" not in end
 
 
 ROOMS = {"ct2mass": "ct_inertia", "points2dof": "kinematics", "dof2kd": "fitting", "scan2kd": "pipeline"}
