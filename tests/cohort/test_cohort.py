@@ -39,6 +39,8 @@ def test_the_planted_exponent_lies_in_its_interval(laws):
     assert low < 2.0 < high
     assert law.p_value < 0.05
     assert law.reliability > 0.9
+    assert len(laws.to_frame()) == len(laws.laws)
+    assert laws.plot().axes
 
 
 def test_density_is_an_error_that_all_ears_share(laws):

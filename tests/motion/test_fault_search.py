@@ -37,8 +37,10 @@ def test_faults_are_called_by_their_names(stated):
     missed = []
     for seed, kind in enumerate(ONE_BODY):
         recording = recorded(seed, points=10, lines=80, faults=[{"kind": kind}])
-        if verdicts(diagnosed(recording, stated)[2]) != dict(recording.culprits):
+        body, _, found = diagnosed(recording, stated)
+        if verdicts(found) != dict(recording.culprits):
             missed.append(kind)
+        assert len(fault_notices(body, found)) == len(found.findings)
     assert set(ONE_BODY) <= set(SIMULATED)
     assert len(missed) <= 1, missed
 

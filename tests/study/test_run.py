@@ -12,7 +12,7 @@ import pytest
 
 from ct_inertia.options import MassOptions
 from kinematics.options import MotionOptions
-from pipeline.report import study_page, summary_rows, write_figures
+from pipeline.report import summary_rows, write_figures
 from pipeline.run import FILES, StudyResult, check_study, run_study, scan2kd
 from pipeline.study import TABLES, in_keys, read_study
 from simulate import Truth
@@ -37,13 +37,17 @@ def test_every_file_that_is_promised_and_one_record(finished: StudyResult) -> No
     assert table["value"]["K11"] == pytest.approx(kd["stiffness_si"][0][0], rel=1e-8)
 
 
-def test_one_verdict_in_the_same_words_everywhere(finished: StudyResult) -> None:
+def test_one_verdict_in_the_same_words_everywhere(finished: StudyResult, tmp_path: Path) -> None:
     level = finished.fit.verdict.level
     kd = json.loads((finished.out / "kd.json").read_text())
     assert kd["verdict"]["level"] == level
     assert dict(summary_rows(finished))["verdict"] == finished.fit.verdict.sentence
     assert finished.fit.verdict.sentence in repr(finished.fit)
-    assert level in study_page(finished).html()
+    (page_file,) = finished.write(tmp_path)
+    assert level in page_file.read_text(encoding="utf-8")
+    assert finished.fit.verdict.sentence in repr(finished)
+    assert finished.to_frame().equals(finished.fit.to_frame())
+    assert finished.plot().axes
 
 
 def copied(small: tuple[Path, Truth], folder: Path, fit: str = "", study: str = "") -> Path:

@@ -12,10 +12,11 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from pipeline.cli import work
 from pipeline.cluster import run_on_dask
 from pipeline.run import StudyResult
 from pipeline.several import check_choices, folder_names, read_studies, run_here, run_studies
-from pipeline.study import read_study, study_template
+from pipeline.study import read_study
 from simulate import Truth
 from stapeskit.faults import StapeskitError
 
@@ -27,7 +28,7 @@ def test_folders_have_different_names() -> None:
 
 
 def test_a_failed_ear_stands_in_the_table_with_its_reason(
-    small: tuple[Path, Truth], finished: StudyResult, tmp_path: Path
+    small: tuple[Path, Truth], finished: StudyResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     names = []
     for name in ("one", "two"):
@@ -38,12 +39,12 @@ def test_a_failed_ear_stands_in_the_table_with_its_reason(
         names.append(folder / "study.toml")
     (tmp_path / "two" / "scan.nrrd").write_bytes(b"NRRD0004\nbroken")
     shutil.copytree(finished.out, tmp_path / "out" / "one")  # its scan is not measured again
-    lines: list[str] = []
-    result = run_studies(names, tmp_path / "out", run_here(2), report=lines.append)
-    assert {name: end.code for name, end in result.ends.items()} == {"one": 0, "two": 2}
-    assert len(lines) == 2
+    outcome = work([*map(str, names), "--out", str(tmp_path / "out"), "--jobs", "2"])
+    assert outcome is not None
+    assert dict(outcome.rows)["failed"] == "two"
+    assert len(capsys.readouterr().err.splitlines()) == 2
     table = pd.read_csv(tmp_path / "out" / "cohort.csv", dtype=str).fillna("")
-    assert list(table["study"]) == [result.cohort.ears[0].name, "two"]
+    assert list(table["study"]) == [finished.study.about.name, "two"]
     assert table["error"].iloc[1]
     assert table["verdict"].iloc[0] in ("believe", "check", "do not use")
 
@@ -75,14 +76,28 @@ def test_what_is_wrong_with_several_studies_is_said_together_before_any_runs(
     check_choices(read_studies([study]), {"laws": ["K_principal_2~mass", "D33~gap"]})
 
 
-def test_the_template_is_read_once_its_files_exist(tmp_path: Path) -> None:
-    text = study_template()
+def test_the_template_is_read_once_its_files_exist(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert work(["--template"]) is None
+    text = capsys.readouterr().out
     for name in ("scan.tif", "ldv.csv", "points.csv", "fiducials.csv"):
         (tmp_path / name).touch()
     (tmp_path / "study.toml").write_text(text, encoding="utf-8")
     study = read_study(tmp_path / "study.toml")
     assert study.scan.file == tmp_path / "scan.tif"
     assert set(study.inputs()) >= {"study", "scan.file", "ldv.file"}
+
+
+def test_a_check_computes_and_writes_nothing(
+    small: tuple[Path, Truth], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("ct_inertia.ct2mass.measure_mass", None)
+    outcome = work([str(small[0] / "study.toml"), "--check"])
+    assert outcome is not None
+    assert len(outcome.rows) == 1
+    assert not list(tmp_path.iterdir())
 
 
 _KILLER = """
