@@ -1,9 +1,9 @@
 """Faults of channels are found, the culprit is named, the kind is right; 1 % of clean files raise an alarm.
 
 ``--what faults``: bodies at the points of a footplate, a stapes or the bone, seen by three lasers or one, in
-motion with three resonances; each fault at a random place. ``--what clean``: files without a fault, also of
-bodies that no search was developed on: a flat shell and a rod seen from heads 120 mm away, so that no two
-beams are parallel.
+motion with three resonances; each fault at a random place. ``--what two``: two of these faults at once, at
+different points. ``--what clean``: files without a fault, also of bodies that no search was developed on: a
+flat shell and a rod seen from heads 120 mm away, so that no two beams are parallel.
 
     python -m benchmarks.points_faults --scenes 10
     python -m benchmarks.points_faults --what clean --scenes 100 --stated no
@@ -78,21 +78,27 @@ FAULTS = {
     "laser gain 5 %": ("laser_gain", 0.05), "laser sign": ("laser_sign", None),
     "laser direction 3 deg": ("laser_direction", 3.0), "flexible 3 %": ("flexible", 0.03),
 }  # fmt: skip
+ALONE = ("gain 5 %", "phase 3 deg", "delay 10 us", "sign", "direction 3 deg", "noise x4", "drift 6 %",
+         "position 200 um")  # fmt: skip
+"""Faults of one channel or point, of which two may meet."""
 _THREE_LASERS = ("beams_swap", "axes", "laser_gain", "laser_sign", "laser_direction")
 
 
-def record(geometry: Geometry, fault: tuple[str, float | None] | None, seed: int, lines: int) -> Recording:
-    """Measure one body with a fault; what is left open of the fault is drawn."""
+def record(geometry: Geometry, faults: Sequence[MeasurementFault], seed: int, lines: int) -> Recording:
+    """Measure one body with faults; what is left open of them is drawn."""
     rng = np.random.default_rng([seed, 53])
-    faults = () if fault is None else (MeasurementFault(kind=fault[0], size=fault[1]),)
     experiment = Experiment(
         lines=lines, lasers=geometry.lasers, beam_cone_deg=geometry.cone_deg, noise_spread=(0.6, 0.8),
-        head_distance_mm=geometry.distance_mm, in_footplate=True, position_sd_mm=0.0, faults=faults,
+        head_distance_mm=geometry.distance_mm, in_footplate=True, position_sd_mm=0.0, faults=tuple(faults),
         seed=seed,
     )  # fmt: skip
     places = geometry.places_mm(rng)
     motion = resonant_motion(rng, experiment.freq_hz)
     return measure_motion({"stapes": motion[None]}, {"stapes": places}, experiment)
+
+
+Hits = list[tuple[bool, bool, bool]]
+"""Whether a fault was found, the culprits named, the kinds right; by file."""
 
 
 def accused(recording: Recording, stated: bool) -> dict[int, str] | None:
@@ -126,31 +132,50 @@ def shortest(shares: Sequence[float]) -> str:
     return words[0] if len(set(words)) == 1 else "/".join(words)
 
 
-def fault_cell(recordings: Iterable[Recording], stated: bool) -> str:
-    """Return how often a fault was found, its culprit named and its kind right."""
-    hits = list[tuple[bool, bool, bool]]()
+def hits_of(recordings: Iterable[Recording], stated: bool) -> Hits:
+    """Return for each file whether a fault was found, its culprit named and its kind right."""
+    hits: Hits = []
     for recording in recordings:
         right, seen = dict(recording.culprits), accused(recording, stated)
         # refused: found, and no culprit named
         hits.append(
             (True, False, False) if seen is None else (bool(seen), set(seen) == set(right), seen == right)
         )
-    return shortest(list(np.mean(hits, axis=0)))
+    return hits
 
 
-def fault_rows(scenes: int, lines: int, stated: bool) -> dict[str, list[str]]:
-    """Return the cells of every fault, one for each geometry."""
-    found = dict[str, list[str]]()
-    for number, (name, fault) in enumerate(FAULTS.items()):
-        found[name] = cells = list[str]()
+def fault_hits(scenes: int, lines: int, stated: bool) -> dict[str, list[Hits]]:
+    """Return what was found of every fault, for each geometry; nothing where it cannot be."""
+    found = dict[str, list[Hits]]()
+    for number, (name, (kind, size)) in enumerate(FAULTS.items()):
+        found[name] = cells = list[Hits]()
+        fault = MeasurementFault(kind=kind, size=size)
         for place, geometry in enumerate(GEOMETRIES.values()):
-            if geometry.lasers == 1 and fault[0] in _THREE_LASERS:
-                cells.append(NOTHING)
-                continue
+            possible = geometry.lasers > 1 or kind not in _THREE_LASERS
             first = 100_000 * place + 1000 * number
-            recordings = (record(geometry, fault, first + scene, lines) for scene in range(scenes))
-            cells.append(fault_cell(recordings, stated))
+            recordings = (
+                record(geometry, [fault], first + scene, lines) for scene in range(scenes if possible else 0)
+            )
+            cells.append(hits_of(recordings, stated))
     return found
+
+
+def two_faults(scenes: int, lines: int, stated: bool) -> dict[str, list[Hits]]:
+    """Return what was found of two faults at different points, drawn out of `ALONE`, for each geometry."""
+    found: list[Hits] = []
+    for place, geometry in enumerate(GEOMETRIES.values()):
+        recordings = list[Recording]()
+        for scene in range(scenes):
+            seed = 300_000_000 + 100_000 * place + scene
+            rng = np.random.default_rng([seed, 59])
+            names, points = rng.choice(ALONE, 2, replace=False), rng.permutation(geometry.points)[:2] + 1
+            faults = [
+                MeasurementFault(kind=FAULTS[name][0], size=FAULTS[name][1], point=str(point))
+                for name, point in zip(names.tolist(), points.tolist(), strict=True)
+            ]
+            recordings.append(record(geometry, faults, seed, lines))
+        found.append(hits_of(recordings, stated))
+    return {"two faults": found}
 
 
 def clean_counts(scenes: int, lines: int, stated: bool) -> dict[str, int]:
@@ -158,7 +183,7 @@ def clean_counts(scenes: int, lines: int, stated: bool) -> dict[str, int]:
     found = dict[str, int]()
     for place, (where, geometry) in enumerate((GEOMETRIES | STRANGE).items()):
         seen = [
-            accused(record(geometry, None, 500_000_000 + 100_000 * place + scene, lines), stated)
+            accused(record(geometry, [], 500_000_000 + 100_000 * place + scene, lines), stated)
             for scene in range(scenes)
         ]
         found[where] = sum(one is None or bool(one) for one in seen)
@@ -173,9 +198,18 @@ if __name__ == "__main__":
         print_table(("geometry", "files with an alarm"), counts.items())
         print(f"Together {100 * sum(counts.values()) / given.scenes / len(counts):.2f} %.", end=" ")
     else:
-        found = fault_rows(given.scenes, given.lines, known)
-        always = [name for name, cells in found.items() if set(cells) <= {"100", NOTHING}]
-        print(f"In all files found, the culprit named and the kind right: {', '.join(always)}.")
-        print("Of the others, found/culprit named/right kind in percent, one figure where all are equal:\n")
-        print_table(("fault", *GEOMETRIES), ([name, *found[name]] for name in found if name not in always))
+        found = (two_faults if given.what == "two" else fault_hits)(given.scenes, given.lines, known)
+        every = [hit for cells in found.values() for hits in cells for hit in hits]
+        counts = [f"{int(number)}" for number in np.sum(every, axis=0)]
+        words = f"a fault found, every culprit and no other named, every kind right: {', '.join(counts)}"
+        print(f"Of {len(every)} files {words}.", end=" ")
+        rows = {
+            name: [shortest(list(np.mean(hits, axis=0))) if hits else NOTHING for hits in cells]
+            for name, cells in found.items()
+        }
+        always = [name for name, cells in rows.items() if set(cells) <= {"100", NOTHING} and len(rows) > 1]
+        if always:
+            print(f"In all files so: {', '.join(always)}.", end=" ")
+        print("In percent, one figure where all three are equal:\n")
+        print_table(("fault", *GEOMETRIES), ([name, *rows[name]] for name in rows if name not in always))
     print(f"{given.scenes} files a cell, {given.lines} lines, noise {'' if known else 'not '}stated.")
