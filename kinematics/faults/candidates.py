@@ -54,7 +54,11 @@ def _replaces(now: Round, named: Finding, unlike: Finding) -> bool:
 def _unlike_others(now: Round, place: Place) -> Finding:
     """Return the finding that these channels do not follow the motion of the others."""
     packed, own = now.packed, list(place.channels)
-    fall = now.state.leave_out(own) if 2 * len(own) < len(now.live) else 0.0
+    errors, state = now.believed
+    before = state.energy + float(now.expected.prior @ errors**2)
+    fall = 0.0
+    if 2 * len(own) < len(now.live):
+        fall = now.estimate.chi2 - before + state.leave_out(own)
     count = int(2 * np.sum((packed.w[:, own] > 0.0) * packed.columns[:, None]))
     log_p = float(now.noise.log_tail(max(fall, 0.0), max(count, 1)))
     return Finding(
@@ -67,7 +71,7 @@ def _fitted(now: Round, kind: str, place: Place) -> Finding:
     packed = now.packed
     parameters = free(kind, place.channels, len(now.layout.points))
     count = len(parameters)
-    start = np.concatenate([np.zeros(count), now.estimate.values])
+    start = np.concatenate([np.zeros(count), now.believed[0]])
     if kind in ("gain", "phase", "drift"):
         reverse = np.zeros(len(start))
         reverse[0] = -2.0

@@ -31,6 +31,7 @@ POWER = 0.9
 """Probability with which a fault of the reported size is found: the usual power of a planned test."""
 _LEVEL_ROUNDS = 2  # of the noise of channels: wrong weights put noise into the columns that hold the motion
 _STATED = 1e-4  # sd of a logarithm that is as good as none
+_BELIEVED = 6.0  # standard deviations up to which an expected error is one, and not what a fault makes of it
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,17 @@ class Round:
     def state(self) -> State:
         """The motion with the expected errors."""
         return self.estimate.state
+
+    @cached_property
+    def believed(self) -> tuple[Array, State]:
+        """Expected errors (p,) that faults are fitted from, and the motion with them.
+
+        A dead channel drives those of its laser far beyond what is stated, where no fit finds back from: then
+        they are zero.
+        """
+        if np.all(np.abs(self.estimate.values) <= _BELIEVED * self.expected.sd):
+            return self.estimate.values, self.state
+        return np.zeros(len(self.expected)), State(self.packed)
 
     @property
     def live(self) -> list[int]:

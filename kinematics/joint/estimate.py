@@ -142,12 +142,16 @@ class State:
         packed, geometry, z = self.packed, self.geometry, self.motion
         lift = packed.visible
         weight = self.weight[:, :, None]
-        read = weight * ((self.rows @ lift) @ z)
+        plain = (self.rows @ lift) @ z
+        read = weight * plain
+        gained = read
+        if geometry.slope is not None:
+            gained = (packed.w * self._phase * geometry.slope)[:, :, None] * plain
         shape = (tangents.COUNT, read.shape[1], *read.shape[::2])
         t = np.empty(shape, dtype=complex)
         tau, omega = packed.tau[:, None, None], packed.omega[:, None, None]
-        simple = {tangents.GAIN: read, tangents.PHASE: 1j * read, tangents.DELAY: -1j * omega * read}
-        simple |= {tangents.GAIN_DRIFT: tau * read, tangents.PHASE_DRIFT: 1j * tau * read}
+        simple = {tangents.GAIN: gained, tangents.PHASE: 1j * gained, tangents.DELAY: -1j * omega * read}
+        simple |= {tangents.GAIN_DRIFT: tau * gained, tangents.PHASE_DRIFT: 1j * tau * gained}
         for kind, values in simple.items():
             t[kind] = values.swapaxes(0, 1)
         for kind in range(tangents.BEAM_U, tangents.COUNT):

@@ -96,7 +96,8 @@ class Readings:
 
     def corrected(self, parameters: Parameters, values: Array) -> Readings:
         """Return the readings under a geometry with parameters (p,) of the given values."""
-        return replace(self, geometry=self.geometry.moved(parameters, values, self.tau, self.omega))
+        moved = self.geometry.moved(parameters, values, self.tau, self.omega)
+        return replace(self, geometry=replace(moved, slope=None))
 
 
 @dataclass(frozen=True)

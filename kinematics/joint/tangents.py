@@ -97,11 +97,14 @@ class Geometry:
     directions : ndarray, (c, 3)
     factor : ndarray, (G, c), complex
         What the values are multiplied with; G is 1 where it is the same at all lines.
+    slope : ndarray, (G, c), complex, or None
+        By how much the factor changes with a gain; None: by itself, as the factor is where no gain has moved.
     """
 
     positions_m: Array
     directions: Array
     factor: ComplexArray
+    slope: ComplexArray | None = None
 
     def rows(self) -> Array:
         """Return the observation rows (c, 6)."""
@@ -124,14 +127,14 @@ class Geometry:
             directions = directions + sums[BEAM_U][:, None] * u + sums[BEAM_V][:, None] * v
             directions = directions + cross(sums[list(TURN)].T, self.directions)
             directions = directions / np.linalg.norm(directions, axis=1)[:, None]
-        factor = self.factor
+        factor, slope = self.factor, None
         if used[:BEAM_U].any():
-            change = 1.0 + sums[GAIN] + 1j * sums[PHASE]
+            change, slope = 1.0 + sums[GAIN] + 1j * sums[PHASE], factor
             if used[[DELAY, GAIN_DRIFT, PHASE_DRIFT]].any():
                 change = change + (sums[GAIN_DRIFT] + 1j * sums[PHASE_DRIFT]) * tau[:, None]
-                change = change * np.exp(-1j * sums[DELAY] * omega[:, None])
-            factor = factor * change
-        return Geometry(positions, directions, factor)
+                slope = factor * np.exp(-1j * sums[DELAY] * omega[:, None])
+            factor = slope * change
+        return Geometry(positions, directions, factor, slope)
 
     def row_tangents(self, tangent: int) -> Array:
         """Return d rows / d parameter (c, 6) of a tangent of beams or positions."""

@@ -45,6 +45,19 @@ def test_faults_are_called_by_their_names(stated):
     assert len(missed) <= 1, missed
 
 
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_dead_channel_drives_no_other_error_beyond_what_is_stated(stated):
+    """It read noise alone; gain and phase of its laser took the blame, and beams of its point."""
+    for seed in range(4):
+        recording = recorded(seed, points=8, lines=60, beam_cone_deg=54.7356)
+        value = recording.velocity_m_s.copy()
+        noise = np.random.default_rng(seed).normal(size=(1, 60, 2)).view(complex)[..., 0]
+        value[:, 4] = recording.sd_m_s[:, 4] * noise
+        found = diagnosed(replace(recording, velocity_m_s=value), stated)[2]
+        assert verdicts(found) == {4: "gain"}
+        assert found.findings[0].values[0] == pytest.approx(-1.0, abs=0.02)
+
+
 def test_two_faults_at_once_are_both_found():
     faults = [{"kind": "gain", "point": "3"}, {"kind": "sign", "point": "7"}]
     for seed in (0, 1):

@@ -33,6 +33,20 @@ def test_scores_are_derivatives_of_the_squares(tangent, missing):
     assert score == pytest.approx(slope, rel=1e-3, abs=1e-4 * abs(score) + 1e-2 / step * 1e-6)
 
 
+@pytest.mark.parametrize("factor", [-2.1, -0.7, 0.5])
+@pytest.mark.parametrize("tangent", [GAIN, PHASE, GAIN_DRIFT])
+def test_scores_of_factors_are_derivatives_where_a_channel_was_reversed_or_scaled(tangent, factor):
+    packed = pack(readings_of(1))
+    parameters = Parameters.of(27, [([4], GAIN, np.inf), ([4], tangent, np.inf)])
+
+    def moved(step):
+        values = np.array([factor, step])
+        return State(packed, packed.geometry.moved(parameters, values, packed.tau, packed.omega))
+
+    slope = -0.5 * (moved(1e-6).energy - moved(-1e-6).energy) / 2e-6
+    assert system(moved(0.0), parameters)[0][1] == pytest.approx(slope, rel=1e-3)
+
+
 def test_packing_keeps_all_squares_of_motion_and_noise():
     readings = readings_of(2, lines=96)
     state = State(pack(readings))
