@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from kinematics.faults.rounds import Round, null_fit
 from kinematics.faults.scores import pattern_gain
-from kinematics.faults.unstated_noise import FAR, line_residuals, middle_square
+from kinematics.faults.unstated_noise import line_residuals
+from kinematics.fit.noise import FAR
 from kinematics.fit.reference import format_stretches
 from kinematics.joint.estimate import State, inverse, system
 from kinematics.joint.tangents import GAIN, PHASE, SHIFT, Parameters
@@ -64,14 +65,10 @@ def other_causes(now: Round) -> list[Cause]:
 
 def _far_values(now: Round) -> Iterator[Cause]:
     """Look for values far off, single ones or those of few lines, without which nothing is wrong."""
-    squares = line_residuals(now.readings, State(now.packed), "t4").squares
-    known = squares[np.isfinite(squares)]
-    if known.size < _LEAST_VALUES:
-        return
-    squares = np.nan_to_num(squares / middle_square(known))
-    far = squares > FAR
-    count = int(np.count_nonzero(far))
-    if not _BY_CHANCE + _CHANCE * known.size < count < _MOST_FAR * known.size:
+    squares = line_residuals(now.readings, State(now.packed)).squares
+    known, far = int(np.count_nonzero(np.isfinite(squares))), squares > FAR
+    squares, count = np.nan_to_num(squares), int(np.count_nonzero(far))
+    if known < _LEAST_VALUES or not _BY_CHANCE + _CHANCE * known < count < _MOST_FAR * known:
         return
     loud = np.count_nonzero(far, axis=0) > 1
     some = 1 < np.count_nonzero(loud) < _MOST_LOUD * len(loud)
@@ -80,12 +77,12 @@ def _far_values(now: Round) -> Iterator[Cause]:
     last = null_fit(replace(now.readings, value=value), now.layout)
     if not last.clean():
         return
-    text = f"{count} of {known.size} values lie far off the rigid motion"
+    text = f"{count} of {known} values lie far off the rigid motion"
     step = "Fit with --robust huber, or look for drop-outs of the signal"
     channel: int | None = int(np.argmax(far.sum(axis=1)))
     if some:
         text, step, channel = *_lines_in_words(now.readings.freq_hz, loud), None
-    gain = float(np.sum(squares[far] - 1.0) - count * np.log(known.size))
+    gain = float(np.sum(squares[far] - 1.0) - count * np.log(known))
     yield Cause(gain, "outliers", text, step, channel, last)
 
 

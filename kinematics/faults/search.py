@@ -18,7 +18,7 @@ from kinematics.faults.kinds import Finding, Place, free
 from kinematics.faults.other_causes import Cause, other_causes
 from kinematics.faults.rounds import Round, null_fit
 from kinematics.faults.scores import pattern_gain
-from kinematics.faults.unstated_noise import FAR, amplitude_noise, line_residuals, middle_square
+from kinematics.faults.unstated_noise import amplitude_noise, line_residuals
 from kinematics.fit.noise import assumed_sd
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.joint.estimate import State
@@ -147,9 +147,9 @@ def _noise_level(now: Round) -> float:
     spread = 1.25 * np.sqrt(chance / np.count_nonzero(some))
     if abs(np.log(middle)) < 5.0 * spread or pattern_gain(now.state, middle) > 0.0:
         return 1.0
-    squares = line_residuals(now.readings, State(now.packed), "t4").squares
-    near = squares[squares < FAR * middle_square(squares)]
-    few = middle > 2.0 * float(np.mean(near))  # values far off are louder, not all
+    near = line_residuals(now.readings, State(now.packed)).level ** 2
+    kept = 1.0 - now.state.q.shape[2] / len(now.live)  # of the noise in residuals
+    few = kept * middle > 2.0 * near  # values far off are louder, not all
     return 1.0 if few else float(np.sqrt(middle))
 
 

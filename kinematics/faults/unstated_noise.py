@@ -6,25 +6,20 @@ Shapes: c channels, N lines of all runs, r motions.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from kinematics.faults.scores import Noise, Test
-from kinematics.fit.lsq import solve
-from kinematics.fit.noise import FLOOR
+from kinematics.fit.noise import FAR, FLOOR, Residuals, robust_residuals
 from kinematics.joint.estimate import Estimate, State
 from kinematics.joint.pack import Readings
-from stapeskit.arrays import Array, ComplexArray
-
-FAR = 14.0
-"""Squares of residuals over their mean from which on values are far off: by chance 8e-7 of them, exp(-14)."""
+from stapeskit.arrays import Array
 
 _LEAST_LEVEL_DOF = 200.0  # of a noise level apart from the motion: known to 5 %
 _SHARES = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 33)])  # of the amplitude, over the constant part
 _LEAST_GAIN = 3.0  # log likelihood of the middle channel: e^3 in each of half the channels
 _LEAST_LINES = 4  # for each motion
-_LEAST_SHARE = 0.05  # of its noise that a channel must keep in its residuals
 
 
 def unknown_noise(estimate: Estimate, tests: Sequence[Test], unsure: Array) -> Noise:
@@ -54,49 +49,13 @@ def unknown_noise(estimate: Estimate, tests: Sequence[Test], unsure: Array) -> N
     return Noise(level, 1.0 / (1.0 / max(freedom, 1.0) + share))
 
 
-@dataclass(frozen=True)
-class LineResiduals:
-    """What the rigid motion leaves of the readings at every line.
-
-    Attributes
-    ----------
-    motion : ndarray, (r, N), complex
-    scaled : ndarray, (c, N), complex
-        Residuals over their noise; NaN where missing.
-    size : ndarray, (c, N)
-        |Fitted value| over the noise.
-    own : ndarray, (c,)
-        Share of the noise of a channel that stays in its residual, in the mean.
-    """
-
-    motion: ComplexArray
-    scaled: ComplexArray
-    size: Array
-    own: Array
-
-    @property
-    def squares(self) -> Array:
-        """Squares of residuals over their expectation, (c, N); NaN where missing."""
-        return 0.5 * np.abs(self.scaled) ** 2 / np.maximum(self.own, _LEAST_SHARE)[:, None]
-
-
-def middle_square(squares: Array) -> float:
-    """Return the mean of squares that few large ones do not move: the median over that of chi2 of 2, ln 2."""
-    return float(np.nanmedian(squares)) / float(np.log(2.0))
-
-
-def line_residuals(readings: Readings, state: State, robust: str = "none") -> LineResiduals:
+def line_residuals(readings: Readings, state: State) -> Residuals:
     """Fit the motion of every line under the geometry of a state."""
-    rows = state.rows @ state.packed.visible
     factor = readings.geometry.factor.T
     live = np.isfinite(readings.noise_factor)[:, None]
     value = np.where(live, readings.value / np.where(factor == 0.0, 1.0, factor), np.nan)
     sd = readings.sd * np.where(live, readings.noise_factor[:, None], 1.0)
-    found = solve(rows, value, sd, robust)
-    fitted = rows @ found.z
-    own = found.freedom / (2.0 * np.maximum(found.used, 1))
-    left = np.where(np.isfinite(value), value - fitted, np.nan)
-    return LineResiduals(found.z, (left * (1.0 / sd)).astype(complex), np.abs(fitted) / sd, own)
+    return robust_residuals(state.rows @ state.packed.visible, value, sd)
 
 
 def amplitude_noise(readings: Readings, state: State) -> Readings | None:
@@ -110,14 +69,13 @@ def amplitude_noise(readings: Readings, state: State) -> Readings | None:
     motion in a channel is subtracted before, so that faults that are the same at all lines do not matter, and
     the middle channel decides, so that few channels do not; nor do values far off, which are left out.
     """
-    lines = line_residuals(readings, state, "t4")
-    near = np.where(lines.squares < FAR * middle_square(lines.squares), lines.scaled, np.nan)
-    gains = []
-    for rest, size, factor in zip(near, lines.size, readings.sd, strict=True):
+    lines, gains = line_residuals(readings, state), []
+    near, sizes = np.where(lines.squares < FAR, lines.left, np.nan), np.abs(lines.fitted)
+    for rest, size, factor in zip(near, sizes, readings.sd, strict=True):
         used = np.flatnonzero(np.isfinite(rest))
-        if len(used) < _LEAST_LINES * len(lines.motion):
+        if len(used) < _LEAST_LINES * len(lines.z):
             continue
-        course = np.linalg.qr((lines.motion[:, used] / factor[used]).T)[0]
+        course = np.linalg.qr((lines.z[:, used] / factor[used]).T)[0]
         square = np.abs(rest[used] - course @ (course.conj().T @ rest[used])) ** 2
         variance = 1.0 + (_SHARES[:, None] * size[used]) ** 2
         likelihood = -np.log(variance).sum(axis=1) - len(used) * np.log(np.mean(square / variance, axis=1))
@@ -126,5 +84,5 @@ def amplitude_noise(readings: Readings, state: State) -> Readings | None:
     best = int(np.argmax(middle))
     if middle[best] < _LEAST_GAIN:
         return None
-    amplitude = np.where(np.isfinite(lines.size), lines.size, 0.0)
+    amplitude = np.where(np.isfinite(sizes), sizes, 0.0)
     return replace(readings, sd=readings.sd * np.sqrt(1.0 + (_SHARES[best] * amplitude) ** 2))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from kinematics.fit.beams import BeamSet
-from kinematics.fit.lsq import HUBER_TUNING, blocks
+from kinematics.fit.lsq import HUBER_TUNING, blocks, solve
 from kinematics.fit.rigid_fit import LineFit, fit_lines
 from kinematics.joint.estimate import State
 from kinematics.joint.expected import laser_numbers
@@ -20,11 +21,15 @@ from stapeskit.warnings import Notice
 FLOOR = 1e-12
 """Least sd over the largest amplitude (contract): exact data have no noise, weights need some."""
 
+FAR = 14.0
+"""Squares of residuals over their mean from which on values are far off: by chance 8e-7 of them, exp(-14)."""
+
 _LEAST_LEVEL_DOF = 4.0  # of a level of noise: the mean of 1 over fewer grows beyond 2, for 2 without end
 _LEVEL_ROUNDS = 6  # of channels: with wrong weights, residuals of quiet ones hold the noise of loud ones
 _LEVEL_LINES = 2000  # that show the level of a channel, to 1.6 %
 _SETTLED = 0.004  # change of levels that ends the rounds: a quarter of how well they are known
 _ROBUST_ROUNDS = 3  # of level and motion in turn; the second changes the level by less than its own sd
+_START_ROUNDS = 20  # from the largest amplitude down to the noise next to drop-outs: each takes off most
 
 
 def fit_with_noise(
@@ -35,10 +40,10 @@ def fit_with_noise(
     sd = assumed_sd(body, run)
     if body.is_noise_stated:
         return fit_lines(beams, value, sd, rate, robust), []
-    levels = _levels(measurement, body, beams, run, sd)
+    levels, start = _levels(measurement, body, beams, run, sd, robust)
     if body.sd is None:
         sd = np.broadcast_to(levels.level[:, None] * sd[:, :1], sd.shape)
-    fit = fit_lines(beams, value, sd, rate)
+    fit = fit_lines(beams, value, sd, rate, robust, np.full(len(rate), start))
     where = f" in run {measurement.runs[run]}" if len(measurement.runs) > 1 else ""
     if not np.any(fit.n_dof > 0):
         text = (
@@ -83,15 +88,21 @@ def _unsure_noise(fit: LineFit, unsure: Array) -> float:
 
 
 def _levels(
-    measurement: Measurement, body: BodyChannels, beams: BeamSet, run: int, sd: Array
-) -> ChannelLevels:
-    """Return the noise of channels over the middle one from lines of the body all over the band."""
+    measurement: Measurement, body: BodyChannels, beams: BeamSet, run: int, sd: Array, robust: str
+) -> tuple[ChannelLevels, float]:
+    """Return the noise of channels over the middle one from lines of the body all over the band.
+
+    For a robust fit, values far off are left out, and the noise over ``sd`` next to them is returned too.
+    """
     measured = np.flatnonzero(np.isfinite(body.value[run]).any(axis=0))
     some = measured[:: max(1, len(measured) // _LEVEL_LINES)]
     value, rate = body.value[run][:, some], measurement.per_displacement[some]
-    sd, levels = sd[:, some], ChannelLevels.as_assumed(len(value))
+    sd, levels, start = sd[:, some], ChannelLevels.as_assumed(len(value)), 1.0
+    if robust != "none":
+        found = robust_residuals(beams.basis, value, sd)
+        value, start = np.where(found.squares > FAR, np.nan, value), found.level
     if body.sd is not None or fit_lines(beams, value, sd, rate).solution.is_rounding():
-        return levels
+        return levels, start
     readings = Readings.of(value[None], sd[None], measurement.freq_hz[some], body.arms_m, body.directions)
     lasers = laser_numbers(body.directions)
     for _ in range(_LEVEL_ROUNDS):  # packed anew: columns without motion depend on the weights
@@ -99,7 +110,52 @@ def _levels(
         levels = channel_levels(state, lasers, before)
         if np.all(np.abs(levels.level - before) < _SETTLED * before):
             break
-    return levels
+    return levels, start
+
+
+class Residuals(NamedTuple):
+    """What a rigid motion leaves of values (c, L) at every line, hardly moved by values far off.
+
+    Attributes
+    ----------
+    z : ndarray, (m, L), complex
+        The motion in the columns of the rows.
+    left, fitted : ndarray, (c, L), complex
+        Residuals and fitted values over their sd; NaN where missing.
+    squares : ndarray, (c, L)
+        Squares of residuals over the usual one of their channel, at least that of all; NaN where missing.
+    level : float
+        The usual residual over its sd.
+    """
+
+    z: ComplexArray
+    left: ComplexArray
+    fitted: ComplexArray
+    squares: Array
+    level: float
+
+
+def robust_residuals(rows: Array, value: ComplexArray, sd: Array) -> Residuals:
+    """Fit every line by Huber's function, whose scale follows from the middle residual.
+
+    Notes
+    -----
+    The median of |residual|^2 is ln 2 of its mean (chi2 of two degrees of freedom).
+    """
+    level = 1.0
+    for _ in range(_START_ROUNDS):
+        z = solve(rows, value, level * sd, "huber").z
+        left = (value - rows @ z) / sd
+        square = 0.5 * np.abs(left) ** 2 / np.log(2.0)
+        known = np.isfinite(square)
+        before, level = level, max(float(np.sqrt(np.median(square[known]))) if known.any() else 1.0, FLOOR)
+        if abs(level - before) < _SETTLED * before:
+            break
+    own = [
+        float(np.median(one[some])) if some.any() else 0.0 for one, some in zip(square, known, strict=True)
+    ]
+    usual = np.maximum(own, level**2)[:, None]
+    return Residuals(z, left, rows @ z / sd, np.log(2.0) * square / usual, level)
 
 
 def assumed_sd(body: BodyChannels, run: int) -> Array:

@@ -140,6 +140,20 @@ def test_robust_estimates_withstand_outliers(kind):
     assert 0.8**2 < stated / variance < 1.3**2
 
 
+@pytest.mark.parametrize("kind", ["huber", "t4"])
+def test_robust_estimates_find_the_noise_next_to_large_drop_outs(kind):
+    """Thousands of sd large: the levels of channels and lines followed them, and the motion was lost."""
+    recording = recorded(3, points=8, lines=60)
+    value = recording.velocity_m_s.copy()
+    far = np.random.default_rng(3).random(value.shape) < 0.02
+    value[far] *= -30.0
+    _, (fit,) = fitted(as_measurement(replace(recording, velocity_m_s=value), stated=False), robust=kind)
+    sd = np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2) / 2.0)
+    pulls = np.abs(fit.q - recording.motion_m["stapes"][0]) / sd
+    assert 0.8 < np.mean(pulls**2) / 2.0 < 1.3
+    assert np.median(fit.factor) * fit.sd[0, 0] == pytest.approx(recording.sd_m_s[0, 0, 0], rel=0.15)
+
+
 @pytest.mark.parametrize(("points", "lines"), [(9, 12), (9, 24)])
 def test_few_lines_without_stated_noise_state_their_sd(points, lines):
     """Weights that are estimated from few values cost as much again in the covariance made with them."""
