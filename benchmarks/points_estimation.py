@@ -3,8 +3,8 @@
 Nine points on footplate, crura and head with three beams each (half-cone 20 degrees), motion with
 resonances of 100 nm and 35 urad. "Variance / bound" is the worst degree of freedom of the mean squared
 error over the bound of known noise, in brackets their mean. "Coverage" is the share of real and imaginary
-parts within 1.96 stated standard deviations. The second table has noise as files state it: sd found from few
-averages, none at all, and motion per unit of a noisy reference, whose noise is common to all of them.
+parts within 1.96 stated standard deviations. The second table has noise as files state it: from coherence of
+few averages, none at all, and motion per unit of a noisy reference, whose noise is common to all of them.
 
     python -m benchmarks.points_estimation --lines 40000
 """
@@ -18,6 +18,7 @@ import numpy as np
 
 from benchmarks._table import arguments, print_table
 from kinematics.fit.beams import BeamSet, beam_set
+from kinematics.fit.few_averages import with_steady_noise
 from kinematics.fit.noise import fit_with_noise
 from kinematics.fit.reference import per_reference
 from kinematics.fit.rigid_fit import LineFit, fit_lines
@@ -135,11 +136,14 @@ def found_noise(lines: int) -> Iterator[list[object]]:
     """Yield noise that files do not know exactly: sd from averages, and none stated."""
     data, rng = readings(40, lines, 0.5), np.random.default_rng([40, 1])
     value = data.noisy(40, 1)
-    for averages in (200, 50, 16):
-        square = rng.chisquare(2 * (averages - 1), data.sd.shape) / (2 * (averages - 1))
-        yield row(f"sd from {averages} averages", data.fit(value, data.sd * np.sqrt(square)), data)
-    parts = {"points": tuple(str(channel // 3) for channel in range(27)), "directions": data.beams}
-    body = BodyChannels("body", positions_m=data.places_mm * 1e-3, value=value[None], **parts)
+    points = {"points": tuple(str(channel // 3) for channel in range(27)), "directions": data.beams}
+    for averages in (200, 50, 16, 4):
+        square = rng.chisquare(2 * (averages - 1), data.sd.shape) / (2 * averages)
+        stated = {"sd": (data.sd * np.sqrt(square))[None], "averages": np.full(27, float(averages))}
+        body = BodyChannels("body", positions_m=data.places_mm * 1e-3, value=value[None], **points, **stated)
+        sd = with_steady_noise(body).sd
+        yield row(f"coherence of {averages} averages", data.fit(value, sd[0]), data)
+    body = BodyChannels("body", positions_m=data.places_mm * 1e-3, value=value[None], **points)
     placed = Measurement("footplate", ("1",), np.linspace(400.0, 5000.0, lines), (body,), "displacement")
     yield row("none stated", fit_with_noise(placed, 0, body, data.beam_set)[0], data, False)
 

@@ -44,6 +44,8 @@ class BodyChannels:
         ``sd`` is known up to one factor per body, which the residuals give (number of averages alone).
     position_sd_m : ndarray, (c,)
         Standard deviation per coordinate of the point's position; NaN where not stated.
+    averages : ndarray, (c,)
+        Behind an ``sd`` that follows from coherence; 0 for another one.
     file_positions_m, file_directions : ndarray, (c, 3)
         As in the file, by which channels and corrections are named; the current ones without them.
     file_from_here : ndarray, (3, 3)
@@ -58,6 +60,7 @@ class BodyChannels:
     sd: Array | None = None
     relative: bool = False
     position_sd_m: Array = field(default_factory=lambda: np.empty(0))
+    averages: Array = field(default_factory=lambda: np.empty(0))
     file_positions_m: Array | None = None
     file_directions: Array = field(default_factory=lambda: np.empty(0))
     file_from_here: Array = field(default_factory=lambda: np.eye(3))
@@ -69,6 +72,8 @@ class BodyChannels:
             object.__setattr__(self, "file_positions_m", self.positions_m)
         if self.position_sd_m.size == 0:
             object.__setattr__(self, "position_sd_m", np.full(len(self.points), np.nan))
+        if self.averages.size == 0:
+            object.__setattr__(self, "averages", np.zeros(len(self.points)))
 
     @property
     def is_noise_stated(self) -> bool:
@@ -113,6 +118,7 @@ class BodyChannels:
             value=self.value[:, own],
             sd=None if self.sd is None else self.sd[:, own],
             position_sd_m=self.position_sd_m[own],
+            averages=self.averages[own],
             file_positions_m=None if self.file_positions_m is None else self.file_positions_m[own],
             file_directions=self.file_directions[own],
         )

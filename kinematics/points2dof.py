@@ -21,6 +21,7 @@ from kinematics.faults.verdicts import (
     points_of_other_bodies,
 )
 from kinematics.fit.beams import BeamSet, beam_set
+from kinematics.fit.few_averages import with_steady_noise
 from kinematics.fit.noise import fit_with_noise
 from kinematics.fit.reference import parse_reference, per_reference
 from kinematics.fit.rigid_fit import LineFit
@@ -84,7 +85,8 @@ def measure_motion(
     progress("reading the measurement")
     measurement, fiducials = read_inputs(options, mass)
     progress("fitting the motion")
-    measurement, repeats = pool_repeats(measurement)
+    steady = tuple(with_steady_noise(body) for body in measurement.bodies)
+    measurement, repeats = pool_repeats(replace(measurement, bodies=steady))
     check_extent(measurement)
     placement = place(fiducials, options.frame or "footplate", mass)
     notices = [] if placement.registration is None else [*placement.registration.notices]

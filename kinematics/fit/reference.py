@@ -16,7 +16,7 @@ LEAST_SIGNAL_TO_NOISE = 10.0
 """Reference over its noise from which on the covariance of a ratio is right to first order within 2 %."""
 
 _LINES = 2048  # lines at a time: a few MB of covariances
-_MOST_SECOND_ORDER = 1.0  # up to here the second order in the noise of the reference is added
+_MOST_HIGHER_ORDERS = 1.0  # up to here the higher orders in the noise of the reference are added
 _LISTED = 5  # stretches of lines in a message
 
 
@@ -58,9 +58,9 @@ def per_reference(motion: RigidMotion, reference: str) -> RigidMotion:
 
     Notes
     -----
-    H = q / q_ref is holomorphic: dH = (dq - H dq_ref) / q_ref, so that the covariance is J C J^H. To second
-    order, an error n of the reference r makes
-    n / r (1 - n / r) of the ratio, whose mean square is larger by 1 + 2 var(n) / |r|^2.
+    H = q / q_ref is holomorphic: dH = (dq - H dq_ref) / q_ref, so that the covariance is J C J^H. To third
+    order, an error n of the reference r makes n / r (1 - n / r + (n / r)^2) of the ratio, whose mean square
+    is larger by 1 + 2 v + 6 v^2 with v = var(n) / |r|^2.
     """
     body, place = parse_reference(reference, motion.bodies, motion.dof)
     runs, bodies, lines, n = motion.q.shape
@@ -124,8 +124,9 @@ def _joint(own: ComplexArray, ratio: ComplexArray, ref: ComplexArray, at: int) -
     joint = change @ joint @ change.conj().transpose(0, 2, 1)
     square = (np.abs(ref) ** 2)[:, None, None]
     h[:, at] = 0.0
-    second = np.minimum(2.0 * variance / square, _MOST_SECOND_ORDER)
-    joint = (joint + second * variance * h[:, :, None] * h[:, None].conj()) / square
+    unsure = variance / square
+    higher = np.minimum(2.0 * unsure + 6.0 * unsure**2, _MOST_HIGHER_ORDERS)
+    joint = (joint + higher * variance * h[:, :, None] * h[:, None].conj()) / square
     return np.where(missing[:, :, None] | missing[:, None, :], np.nan, joint)
 
 

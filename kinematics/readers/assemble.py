@@ -219,6 +219,7 @@ def _body(
         spread if noisy else None,
         relative or hidden > _MOST_HIDDEN,
         np.array([sd_m.get((name, row.point), np.nan) for row in first.values()], dtype=float),
+        averages=np.array([row.averages for row in first.values()]),
     )
 
 

@@ -45,9 +45,10 @@ def with_noise(rows: Sequence[Row]) -> list[Row]:
         sd = np.abs(value) * np.sqrt(np.maximum(left, least) / (2.0 * averages * coherence))
     sd = np.where(np.isfinite(sd), sd, np.nan)
     hidden = np.sum(left < _COARSE * digit, axis=1) / np.maximum(np.sum(np.isfinite(left), axis=1), 1)
+    behind = np.zeros(len(rows)) if counts is None else np.nanmedian(counts, axis=1)
     return [
-        replace(row, sd=own, relative=counts is None, hidden=float(share))
-        for row, own, share in zip(rows, sd, hidden, strict=True)
+        replace(row, sd=own, relative=counts is None, averages=float(number), hidden=float(share))
+        for row, own, number, share in zip(rows, sd, behind, hidden, strict=True)
     ]
 
 

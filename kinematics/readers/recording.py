@@ -69,6 +69,8 @@ class Row:
         Ordinary coherence, 0 to 1; number of averages.
     relative : bool
         ``sd`` is known up to one factor.
+    averages : float
+        Behind an ``sd`` that follows from coherence; 0 for another one.
     hidden : float
         Share of the values whose noise is below what the decimals of their coherence show.
     where, lines, source, file : Place or str, ndarray (L,) or None, str, str
@@ -88,6 +90,7 @@ class Row:
     coherence: Array | float | None = None
     n_avg: Array | float | None = None
     relative: bool = False
+    averages: float = 0.0
     hidden: float = 0.0
     freq_unit: str = "Hz"
     where: Place | str = ""

@@ -9,6 +9,7 @@ from kinematics.faults.correct import corrected
 from kinematics.faults.rounds import detectable
 from kinematics.faults.search import diagnose
 from kinematics.faults.verdicts import WORDS, channel_verdicts, fault_notices, write_channels
+from kinematics.fit.few_averages import with_steady_noise
 from simulate import KINDS as SIMULATED
 from stapeskit.spatial import DOF_NAMES
 from tests.motion.bodies import as_measurement, fitted, recorded
@@ -81,6 +82,27 @@ def test_few_channels_of_unknown_noise_raise_few_alarms():
     firsts = [diagnosed(recorded(9000 + seed, **given), False)[2].first for seed in range(40)]
     # 1 % expected, 20 % where this is left out
     assert sum(first.log_whole < np.log(0.01) for first in firsts) <= 3
+
+
+@pytest.mark.parametrize("averages", [4, 16])
+def test_noise_from_coherence_of_few_averages_raises_few_alarms(averages):
+    """Half of such files were called bodies that bend: their noise scatters from line to line."""
+    alarms, squares = 0, []
+    for seed in range(20):
+        recording = recorded(800 + seed, points=6, lines=80)
+        (body,) = as_measurement(recording).bodies
+        energy = np.random.default_rng(seed).chisquare(2 * (averages - 1), body.sd.shape)
+        body = replace(
+            body, sd=body.sd * np.sqrt(energy / (2 * averages)), averages=np.full(18, float(averages))
+        )
+        measurement = replace(as_measurement(recording), bodies=(with_steady_noise(body),))
+        body, (fit,) = fitted(measurement)
+        found = diagnose(body, [fit], recording.freq_hz)
+        alarms += bool(found.findings or found.causes)
+        sd = np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2) / 2.0)
+        squares.append(np.mean(np.abs((fit.q - recording.motion_m["stapes"][0]) / sd) ** 2) / 2.0)
+    assert alarms <= 2
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.06)
 
 
 def test_stated_errors_of_positions_are_expected():
