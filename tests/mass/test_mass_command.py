@@ -15,11 +15,13 @@ from ct_inertia.exports.write import EXPORTS
 from ct_inertia.options import EXPORTS as EXPORT_NAMES
 from ct_inertia.report.pictured import pictured_from
 from ct_inertia.report.sections import mass_page
+from ct_inertia.report.window import plotter_of
 from ct_inertia.results import MassResult
 from ct_inertia.scan.open_scan import open_labels
 from ct_inertia.surface.surface import Surface
 from simulate import Ear, Scan, Stapes, simulate_study, stapes_solid, write_labels
 from stapeskit.faults import StapeskitError
+from stapeskit.frames import RigidTransform, rotation_from_vector
 from stapeskit.outputs import MANIFEST
 from stapeskit.records.mass_file import read_mass, read_mass_json
 from stapeskit.registration import displacement
@@ -166,7 +168,7 @@ def test_a_plain_affine_turns_x_and_the_line_to_paste_turns_it_back(study: Study
     )
 
 
-def test_the_result_prints_draws_and_tabulates_itself(study: Study) -> None:
+def test_the_result_prints_draws_and_tabulates_itself(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     result = study.scanned
     names = [name for name, _ in result.summary()]
     assert names[:2] == ["volume", "mass"]
@@ -179,6 +181,10 @@ def test_the_result_prints_draws_and_tabulates_itself(study: Study) -> None:
     assert figure.axes
     assert hasattr(figure, "_repr_png_")
     assert "<table>" in result._repr_html_()
+    monkeypatch.setattr("pyvista.OFF_SCREEN", True)
+    plotter = plotter_of(result)
+    assert {"stapes", "plate"} <= set(plotter.actors)
+    plotter.close()
 
 
 def test_without_density_one_is_assumed_and_reported_first(tmp_path: Path) -> None:
@@ -200,6 +206,25 @@ def mesh(tmp_path: Path) -> Path:
     path = tmp_path / "stapes.ply"
     Surface(solid.vertices_mm, solid.faces).write(path)
     return path
+
+
+def test_a_plate_by_its_fiducials_and_a_mass_by_two_ways(mesh: Path, tmp_path: Path) -> None:
+    pose = RigidTransform.from_parts(
+        rotation_from_vector([0.2, 0.1, -0.1]), [0.0, -1.0, 0.2], "scan", "plate"
+    )
+    corners = np.array([[2.2, 0.0, 1.5], [-2.2, 0.0, 1.5], [-2.2, 0.0, -1.5], [2.2, 0.2, -1.5]])
+    pairs = np.hstack([pose.points(corners), corners])
+    rows = [f"{k}," + ",".join(map(str, row)) for k, row in enumerate(pairs)]
+    marks = tmp_path / "plate.csv"
+    marks.write_text("\n".join(["name,x_mm,y_mm,z_mm,x_ref_mm,y_ref_mm,z_ref_mm", *rows]))
+    words = ["--density", "1900+-60", "--mass-mg", "4.4+-0.05", "--plate-fiducials", str(marks)]
+    outcome = work([str(mesh), *words, "--out", str(tmp_path / "out")])
+    assert "plate_not_found" not in {notice.code for notice in outcome.notices}
+    record = read_mass_json(tmp_path / "out" / "mass.json")
+    assert record.scan_from_plate is not None
+    np.testing.assert_allclose(record.scan_from_plate.matrix, pose.matrix, atol=1e-9)
+    assert record.mass_matrix.parameters[0] == pytest.approx(4.4e-6, rel=1e-9)
+    assert (tmp_path / "out" / "report.html").is_file()
 
 
 def test_every_export_is_written(mesh: Path, tmp_path: Path) -> None:

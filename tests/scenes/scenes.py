@@ -169,7 +169,6 @@ SCENES: dict[str, Scene] = {
         codes=_mass("outside_published_sizes"),
     ),
     "glued_bead": _ct(ear=Ear(loose_masses=((0.3, 1.2, 0.2, 5e-8),))),
-    "true_labels": _ct(labels=".nrrd"),
     "named_segments": _ct(Scan(voxel_um=40.0, seed=3), labels=".seg.nrrd"),
     "closed_mesh": _ct(
         Scan(voxel_um=32.0, format="ply", seed=3),
