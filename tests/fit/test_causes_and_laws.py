@@ -14,6 +14,16 @@ from tests.fit.fit_cases import DOF, M, agrees, codes, deviation, fit, paper_mot
 ALARMS = {"misfit", "cause_found", "fluid_found"}
 
 
+def test_every_law_takes_energy_and_stiffens_with_the_frequency():
+    """A passive, causal ligament: the loss is positive and, but for hysteresis, so is what D adds to K."""
+    w = np.array([0.3, 1.0, 3.0])
+    for name, law in LAWS.items():
+        factor = law.factor(w, *([law.usual] if law.usual else []))
+        assert np.all(factor.imag > 0.0), name
+        assert np.all(np.diff(factor.real) >= 0.0), name
+        assert np.all(factor.real >= -1e-12), name
+
+
 def test_every_unknown_changes_the_equations_and_nothing_at_zero():
     ear = ring_ear(1, lines=24)
     data = data_of(ear.motion, inertia_of(ear.mass, DOF), DOF)
@@ -146,13 +156,3 @@ def test_a_wrong_law_is_named_as_the_cause():
     result = fit(motion, M)
     assert result.search.best.name == "law_hysteretic"
     assert "frequency_dependent" in codes(result)
-
-
-def test_every_law_takes_energy_and_stiffens_with_the_frequency():
-    """A passive, causal ligament: the loss is positive and, but for hysteresis, so is what D adds to K."""
-    w = np.array([0.3, 1.0, 3.0])
-    for name, law in LAWS.items():
-        factor = law.factor(w, *([law.usual] if law.usual else []))
-        assert np.all(factor.imag > 0.0), name
-        assert np.all(np.diff(factor.real) >= 0.0), name
-        assert np.all(factor.real >= -1e-12), name
