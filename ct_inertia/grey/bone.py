@@ -74,6 +74,8 @@ def bone_level(fit: SceneFit, excess: Grey) -> BoneLevel:
     if np.count_nonzero(deep) > _LEAST_DEEP:
         values = excess[deep] / share[deep]
         mean, scatter = mean_by_cells(values, deep, _CELL_VOXELS)
+        # noise that neighbours share reaches beyond a cell
+        scatter = max(scatter, noise * float(np.sqrt(fit.start.correlation / np.count_nonzero(deep))))
         by_interior = float(np.hypot(scatter, _BLUR_LEFT * (1.0 - float(share[deep].mean()))))
         if by_interior < by_fit:
             return BoneLevel(mean * fitted, by_interior * fitted, float(values.std()) * fitted, "interior")

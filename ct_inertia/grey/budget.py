@@ -12,7 +12,8 @@ from ct_inertia.grey.cells import mean_by_cells
 from ct_inertia.grey.media import USUAL_COAT, Media
 from ct_inertia.grey.moments import blur_covariance, by_octants, common, noise_covariance, octants
 from ct_inertia.grey.parts import StapesParts
-from ct_inertia.grey.scene import SceneFit, fit_scene
+from ct_inertia.grey.scene import SceneFit, fit_scene, free_edges
+from ct_inertia.grey.start import AIR_VOXELS
 from ct_inertia.voxels.fields import Grey
 from stapeskit.arrays import Array
 
@@ -21,9 +22,10 @@ _FLUID_SD = calibrated("media.fluid_sd")
 _SOFT_SD = calibrated("media.soft_sd")
 _TAIL_SD = calibrated("separation.tail_sd")
 _CLEARLY = 12.0  # log-likelihood by which a coat that nobody stated must fit better: 1 in 160 000
-_LEAST_BEND = 0.1  # of noises: a surface that follows noise takes up to 0.03 of that in bone
+_LEAST_BEND, _BEND_Z = 0.03, 5.0  # a sharp picture without noise leaves 0.01; standard deviations
+_BENT, _LEAST_EDGE = (1e-3, 0.999), 400  # shares of bone, and voxels of edges that show a bend
 _CELL_VOXELS = 6  # edge of the cells whose means show how well the level of plastic is known
-_DEEP, _LEAST_DEEP = 0.95, 100  # share of bone, and independent voxels, that show its noise to 7 %
+_DEEP, _LEAST_DEEP = 0.95, 100  # share of plastic, and voxels, that show how well its level is known
 
 
 def unstated_coat(parts: StapesParts, moments: Moments) -> Grey | None:
@@ -72,6 +74,8 @@ def amounts_of(
     bone_sd = float(np.hypot(parts.level.sd, 0.0 if fit.storing is None else fit.storing.bone_sd))
     yield "levels", parts.where_own((1.0 - parts.excess) * np.float32(fit.start.air_sd / contrast)), common
     yield "levels", parts.where_own(parts.excess * np.float32(bone_sd / contrast)), common
+    if fit.start.air_uneven:
+        yield "levels", uneven_air(parts), by_octants
     if len(fit.names) > 1:
         for tail in (parts.foreign, parts.behind):
             yield "separation", np.float32(_TAIL_SD) * tail, by_octants
@@ -99,6 +103,16 @@ def amounts_of(
         yield "grey_scale", parts.where_own(np.float32(bend) * share * (1.0 - share)), common
 
 
+def uneven_air(parts: StapesParts) -> Grey:
+    """Return one standard deviation of the level of air on the stapes' side, an eighth of it by itself.
+
+    Cells of air differ independently, and so do those that the stapes and its blur fill.
+    """
+    begin = parts.fit.start
+    cells = max(1.0, np.count_nonzero(parts.own) / 8.0 / AIR_VOXELS**3)
+    return parts.own * np.float32(begin.air_uneven / parts.level.contrast / np.sqrt(cells))
+
+
 def plate_errors(parts: StapesParts) -> Iterator[Grey]:
     """Yield one standard deviation of a dry plate's image on the stapes' side: by its height, by its level.
 
@@ -119,22 +133,29 @@ def plate_errors(parts: StapesParts) -> Iterator[Grey]:
 
 
 def grey_scale_bend(fit: SceneFit) -> float:
-    """Return the bend of a grey scale that amplifies noise in air more than in bone, as a gamma below 1 does.
+    """Return the bend b of a grey scale x + b x (1 - x) by what it leaves at edges; 0 where that is noise.
 
     Notes
     -----
-    The grey value x + b x (1 - x) has the slopes 1 + b in air and 1 - b in bone, which are the ratio of the
-    noises. Less noise in air than in bone has other causes; clipping and coarse steps hide it.
+    At a plane edge of the share x = Phi(t) a surface out of place, a wrong blur, a wrong contrast and fringes
+    leave phi(t), t phi(t), x and (t^3 - 3 t) phi(t): its derivatives along the normal. The rest of x (1 - x),
+    even in t, is the bend's own. Where clipping or coarse steps were undone, it is not looked for.
     """
-    if fit.storing is not None:
+    from scipy.special import ndtri
+
+    places = free_edges(fit, _BENT)
+    if fit.storing is not None or len(places) < _LEAST_EDGE:
         return 0.0
-    inside = fit.own & (fit.shares["stapes"] > _DEEP)
-    count = np.count_nonzero(inside) / fit.start.correlation
-    if count < _LEAST_DEEP:
-        return 0.0
-    ratio = fit.start.noise / max(float(np.std(fit.residual[inside])), 1e-30)
-    known = ratio > 1.0 + max(_LEAST_BEND, 4.0 / np.sqrt(2.0 * count))
-    return float((ratio - 1.0) / (ratio + 1.0)) if known else 0.0
+    share = fit.shares["stapes"].ravel()[places].astype(float)
+    t = ndtri(share)
+    bell = np.exp(-0.5 * t * t)
+    rows = np.stack([bell, t * bell, share, (t**3 - 3.0 * t) * bell, share * (1.0 - share)])
+    residual = fit.residual.ravel()[places].astype(float) / fit.contrasts["stapes"]
+    inverse = np.linalg.pinv(rows @ rows.T)
+    factors = inverse @ (rows @ residual)
+    square = float(np.mean((residual - factors @ rows) ** 2)) * max(fit.start.correlation, 1.0)
+    bend, sd = float(factors[-1]), float(np.sqrt(max(inverse[-1, -1], 0.0) * square))
+    return bend if abs(bend) > max(_LEAST_BEND, _BEND_Z * sd) else 0.0
 
 
 def with_sources(

@@ -10,7 +10,7 @@ from ct_inertia.bodies import Labelled, MeasuredBody, Moments, Scene
 from ct_inertia.frames.plate import plane_faces
 from ct_inertia.frames.plate_frame import facing
 from ct_inertia.grey.border import with_border
-from ct_inertia.grey.budget import amounts_of, grey_scale_bend, unstated_coat, with_sources
+from ct_inertia.grey.budget import amounts_of, grey_scale_bend, uneven_air, unstated_coat, with_sources
 from ct_inertia.grey.frame_surface import body_surface
 from ct_inertia.grey.media import Coat, Media, coat_notice, media_notices, usual_coat
 from ct_inertia.grey.misfit import gain_over_body, misfit_notice, misfits
@@ -73,7 +73,8 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
     soft, hollow, mucosa = (
         _share(amount, parts, moments) for amount in (parts.soft, fit.media.void_share, unstated)
     )
-    notices += [*media_notices(fit, soft, hollow), *misfit_notice(left, mucosa, bend, gain)]
+    uneven = _share(uneven_air(parts), parts, moments) / np.sqrt(8.0)  # eighths that differ independently
+    notices += [*media_notices(fit, soft, hollow), *misfit_notice(left, mucosa, bend, gain, uneven)]
     notices += [coat_notice(_share(usual_coat(fit), parts, moments))] if coat is None else []
     scene, level = _scene(fit, parts), parts.level
     del parts  # a fifth of the memory, before surfaces need theirs

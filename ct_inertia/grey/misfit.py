@@ -21,7 +21,7 @@ _CELL_VOXELS = 8
 _LEAST_VOXELS, _LEAST_CELL = 100, 12
 _LEAST_SHARE = calibrated("misfit.least_share")
 _MIN_Z, _MIN_CHI2 = 7.0, 35.0
-_SUSPECT_Z = 4.0  # a second fit then decides: 1 in 30 000 whole scans by chance
+_SUSPECT_Z = 2.0  # a second fit then decides: 1 in 40 bare bones costs one by chance
 _DEEP = 0.9  # share of bone from which a voxel shows its level
 _TERMS = 10  # of a polynomial of second order in space
 _LEAST_GAIN = 5e-3  # of the level of bone: less moves volume and frame by less than noise does
@@ -66,7 +66,7 @@ class PlaceMisfit:
     @property
     def may_be_soft(self) -> bool:
         """Whether it is bright enough that another model is worth a fit."""
-        return self.share > self.least and self.z > _SUSPECT_Z
+        return self.share > 0.0 and self.z > _SUSPECT_Z
 
     def __str__(self) -> str:
         return f"{PLACES[self.place]}: {100.0 * self.share:+.2f} % of the volume"
@@ -159,28 +159,38 @@ def _quadratic(points: Array) -> Array:
 
 
 def misfit_notice(
-    found: list[PlaceMisfit], coat: float = 0.0, bend: float = 0.0, gain: Grey | None = None
+    found: list[PlaceMisfit],
+    coat: float = 0.0,
+    bend: float = 0.0,
+    gain: Grey | None = None,
+    uneven: float = 0.0,
 ) -> list[Notice]:
     """Return one warning for all significant residuals.
 
     ``coat``: what a soft coat that nobody stated would take off, as a share of the volume, where it fits;
-    ``bend``: of the grey scale, by its noise; ``gain``: departure of the level of bone, place by place.
+    ``bend``: of the grey scale; ``gain``: departure of the level of bone, place by place;
+    ``uneven``: standard deviation that the unevenness of air leaves, as a share of the volume.
     """
     standing = [str(one) for one in found if one.stands_out or (coat and one.may_be_soft)]
     if bend:
-        standing.append(f"a noise in air that is {(1.0 + bend) / (1.0 - bend):.2f} times that in bone")
+        standing.append(f"grey values half way up edges that are {25.0 * bend:+.1f} % of the contrast off")
     if gain is not None:
         width = 100.0 * float(gain.max() - gain.min())
         standing.append(
             f"a level of bone that differs by {width:.1f} % from place to place (cupping or denser bone: "
             "the moments are weighted by grey values, which is right for the latter)"
         )
+    if uneven > _LEAST_SHARE:
+        standing.append(
+            f"a level of air that differs from place to place: {100.0 * uneven:.2f} % of the volume"
+        )
     if not standing:
         return []
     text = (
         "The grey values around the stapes are not those of two sharp materials: the model leaves "
-        f"{'; '.join(standing)}. Phase fringes, a bent grey scale (gamma), rings, motion, cupping or soft "
-        "tissue do that. It is not corrected; the budget holds its size (misfit, grey_scale). Look at the "
+        f"{'; '.join(standing)}. Phase fringes, a bent grey scale (gamma), rings, streaks of metal, motion, "
+        "cupping or soft tissue do that. It is not corrected; the budget holds its size (misfit, levels, "
+        "grey_scale). Look at the "
         "slices of the report."
     )
     if coat:

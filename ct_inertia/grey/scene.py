@@ -143,6 +143,13 @@ class SceneFit:
         return self.side("stapes") & self.start.within_reach
 
     @property
+    def dry(self) -> Mask:
+        """Voxels without a soft medium."""
+        if self.media.soft is None:
+            return np.ones(self.data.shape, dtype=bool)
+        return np.asarray(np.abs(self.media.soft) < np.float32(_CLEAR_AIR * self.contrasts["stapes"]))
+
+    @property
     def names(self) -> list[str]:
         """Names of the bodies, the stapes first."""
         return list(self.start.masks)
@@ -264,6 +271,18 @@ def _adjust_contrasts(fit: SceneFit) -> bool:
     return bool(fit.slopes) and abs(fit.slopes[-1] - 1.0) < _SETTLED
 
 
+def free_edges(fit: SceneFit, ends: tuple[float, float]) -> NDArray[np.intp]:
+    """Return the places (n,) between two blurred shares of the stapes; those that face air, if enough do."""
+    places = fit.places["stapes"]
+    free = np.ones(len(places), dtype=bool)
+    for name in fit.names[1:]:
+        free &= fit.start.distances[name].ravel()[places] > np.float32(fit.start.reach_mm)
+    free &= fit.dry.ravel()[places]
+    places = places[free] if np.count_nonzero(free) > _LEAST_FREE * len(places) else places
+    shown = fit.shares["stapes"].ravel()[places]
+    return places[(shown > ends[0]) & (shown < ends[1])]
+
+
 def _adjust_blur(fit: SceneFit, late: bool) -> bool:
     """Take the blur one step of Gauss and Newton nearer to the least misfit at edges that face air.
 
@@ -277,16 +296,7 @@ def _adjust_blur(fit: SceneFit, late: bool) -> bool:
     bool
         It hardly changed.
     """
-    share, places = fit.shares["stapes"], fit.places["stapes"]
-    free = np.ones(len(places), dtype=bool)
-    for name in fit.names[1:]:
-        free &= fit.start.distances[name].ravel()[places] > np.float32(fit.start.reach_mm)
-    if fit.media.soft is not None:
-        clear = np.float32(_CLEAR_AIR * fit.contrasts["stapes"])
-        free &= np.abs(fit.media.soft.ravel()[places]) < clear
-    places = places[free] if np.count_nonzero(free) > _LEAST_FREE * len(places) else places
-    shown = share.ravel()[places]
-    places = places[(shown > _BLURRED[0]) & (shown < _BLURRED[1])]
+    share, places = fit.shares["stapes"], free_edges(fit, _BLURRED)
     changes = _by_spread(share, places, fit.start.spacing)
     residual = fit.residual.ravel()[places] * np.float32(1.0 / fit.contrasts["stapes"])
     squares = (changes @ changes.T).astype(float)

@@ -45,15 +45,16 @@ def slice_breaks(fit: SceneFit) -> Iterator[SliceBreak]:
     """
     from scipy.special import erf
 
-    near = fit.own & fit.start.near
+    near = fit.own & fit.start.near & fit.dry
     pairs = near[1:] & near[:-1]
-    steps = np.where(pairs, np.diff(fit.data - fit.residual, axis=0), np.float32(0.0))
+    contrast = np.float32(fit.contrasts["stapes"])
+    steps = np.where(pairs, contrast * np.diff(fit.shares["stapes"], axis=0), np.float32(0.0))
     left = np.where(pairs, np.diff(fit.residual, axis=0), np.float32(0.0))
     square = np.einsum("zyx,zyx->z", steps, steps, dtype=float)
     slopes = np.einsum("zyx,zyx->z", steps, left, dtype=float) / np.maximum(square, 1e-12)
     share = float(erf(fit.start.spacing[0] / (2.0 * np.sqrt(2.0) * fit.widths_mm[0])))
     one = (2.0 / (1.0 + share) - 1.0) / float(fit.start.grid.block[2])
-    noise = max(fit.start.noise, _LEAST_NOISE * fit.contrasts["stapes"])
+    noise = max(fit.start.noise, _LEAST_NOISE * float(contrast))
     error = noise * np.sqrt(2.0 * max(fit.start.correlation, 1.0) / np.maximum(square, 1e-12))
     seen = error < _LEAST_SHARE * one / _MIN_Z
     if not seen.any():

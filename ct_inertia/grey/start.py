@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.bodies import Grid, Labelled
 from ct_inertia.frames.plate import PlaneFace
-from ct_inertia.grey.cells import cell_numbers, mean_by_cells, noise_correlation, robust_mean
+from ct_inertia.grey.cells import by_cells, cell_numbers, mean_by_cells, noise_correlation, robust_mean
 from ct_inertia.grey.plate_plane import FacePlane
 from ct_inertia.voxels.distance import capped_distance
 from ct_inertia.voxels.fields import Grey, smooth
@@ -26,6 +26,9 @@ CLOSE_SIGMAS = 5.0
 
 NEAR_REACHES = 1.7
 """So many reaches of the blur around the stapes are modelled: its rim and as much air."""
+
+AIR_VOXELS = 16
+"""Edge of the cells of air that are compared: streaks and shades are as wide, and a body holds dozens."""
 
 _LEAST_AIR = 400  # voxels of air from which a mean is taken: its noise is 5 % of a voxel's
 _CELL_VOXELS, _LEAST_CELL = 8, 30  # edge of the cells that are compared, and voxels of one that counts
@@ -55,6 +58,8 @@ class Start:
         Whose voxel it is: 1 for the first body, 2 for the second, ...; 0 beyond the reach of all.
     near, far : ndarray of bool
         Where the model is compared with the grey values; air beyond all blur.
+    air_uneven : float
+        Standard deviation of the level of air from one cell of `AIR_VOXELS` to another, beyond noise.
     face : FacePlane or None
         The face of a plate near the stapes; None without a plate that has one.
     """
@@ -71,6 +76,7 @@ class Start:
     air: float
     noise: float
     air_sd: float
+    air_uneven: float
     correlation: float
     contrasts: dict[str, float]
     sigma_mm: float
@@ -112,7 +118,7 @@ def start(labelled: Labelled, plate_faces: Sequence[PlaneFace] = ()) -> Start:
     air, noise, air_sd = labelled.air, labelled.noise, labelled.noise
     if np.count_nonzero(far) >= _LEAST_AIR:
         air, noise = robust_mean(grey[far])
-        air_sd = mean_by_cells(grey[far], far, 16)[1]
+        air_sd = mean_by_cells(grey[far], far, AIR_VOXELS)[1]
     grey = grey if measured.all() else np.where(measured, grey, np.float32(air))
     beside = {name: mask for name, mask in masks.items() if np.any(near & (distances[name] < reach))}
     face = None
@@ -124,6 +130,7 @@ def start(labelled: Labelled, plate_faces: Sequence[PlaneFace] = ()) -> Start:
         near_plate = basin == 1 + list(beside).index("plate")
         basin[near_plate & (distances["stapes"] < np.float32(_OVER_PLATE_SIGMAS * sigma + edge))] = 1
     calm = far & (np.abs(grey - np.float32(air)) < 5.0 * noise)
+    correlation = noise_correlation(np.where(far, grey - np.float32(air), np.float32(0.0)), calm)
     return Start(
         part=part,
         grid=box.part(part),
@@ -137,7 +144,8 @@ def start(labelled: Labelled, plate_faces: Sequence[PlaneFace] = ()) -> Start:
         air=air,
         noise=max(noise, 1e-6 * (labelled.bone - labelled.air)),
         air_sd=air_sd,
-        correlation=noise_correlation(np.where(far, grey - np.float32(air), np.float32(0.0)), calm),
+        air_uneven=_unevenness(grey, calm, air, noise**2 * correlation),
+        correlation=correlation,
         contrasts=_contrasts(labelled, grey, beside, air),
         sigma_mm=sigma,
         face=face,
@@ -169,6 +177,19 @@ def _air_alone(grey: Grey, far: Mask, air: float, noise: float) -> Mask:
     kept = np.zeros_like(far)
     kept[far] = ~bright[key]
     return kept
+
+
+def _unevenness(grey: Grey, calm: Mask, air: float, variance: float) -> float:
+    """Return by how much cells of air differ beyond noise; ``variance``: of a sum over voxels, per voxel.
+
+    0 where noise alone gives the sum of squares, or 5 of its standard deviations more.
+    """
+    size, total = by_cells(grey[calm] - np.float32(air), calm, AIR_VOXELS)
+    size, total = size[size > _LEAST_AIR], total[size > _LEAST_AIR]
+    square, count = float(np.sum(total**2 / np.maximum(size, 1.0))), len(size)
+    if count < 2 or square < (count + 5.0 * np.sqrt(2.0 * count)) * variance:
+        return 0.0
+    return float(np.sqrt((square - count * variance) / size.sum()))
 
 
 def first_sigma(labelled: Labelled) -> float:
