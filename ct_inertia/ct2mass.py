@@ -337,7 +337,7 @@ def _gap(measured: MeasuredBody, footplate: FootplateFrame, surface: Surface) ->
     from ct_inertia.frames.gap import window_gap
 
     wall = contour(measured.wall.field, measured.wall.scan_from_index, largest=False)
-    return window_gap(footplate, surface, wall, measured.surface.resolution_mm, measured.wall.level_sd_mm)
+    return window_gap(footplate, surface, wall, (measured.surface, measured.wall))
 
 
 def _ways(work: _Work, moments: Moments, footplate: FootplateFrame) -> tuple[MassByWay, ...]:

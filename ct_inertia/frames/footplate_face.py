@@ -66,16 +66,8 @@ class Region:
     edge_mm: float
 
     def sharpened(self, blur_mm: float) -> Region:
-        """Return the region with a blur of its surface taken back.
-
-        Notes
-        -----
-        Blur moves an iso surface inward where it is convex, by blur^2 / 2 times the sum of the principal
-        curvatures; one step of diffusion on the scale s moves it by s^2 / 4 times its mean curvature vector.
-        """
-        normals = unit(self.diffusion.normals())
-        lift = 2.0 * (blur_mm / NORMAL_SCALE_MM) ** 2 * (self.points - self.diffusion.step(self.points))
-        points = self.points + np.sum(lift * normals, axis=1, keepdims=True) * normals
+        """Return the region with a blur of its surface taken back."""
+        points = self.diffusion.sharpened(blur_mm)
         return replace(self, points=points, normals=unit(self.diffusion.normals(points)))
 
 

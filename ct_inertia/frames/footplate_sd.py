@@ -32,7 +32,7 @@ _LEAST_CURVATURE = 0.2  # 1/mm: a rim that bends less is none
 _ALL_OF_BLUR = 0.5  # of its variance times the curvature of an edge: the shift of a blurred edge (Taylor)
 _EDGE_LEFT = calibrated("footplate.edge_left")
 _LONG_AXIS_LEFT_RAD = calibrated("footplate.long_axis_left_rad")
-_HEIGHT_LEFT_MM = calibrated("footplate.height_left_mm")
+_TILT_LEFT = calibrated("footplate.tilt_left")
 _CUT_RADII = 1.5  # of a cut as a disc: it is longer than it is wide
 _MESH_BLUR = calibrated("footplate.mesh_blur")
 
@@ -46,9 +46,9 @@ def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Arra
     -----
     Edges that a blur of covariance C hides err by a share of n^T C n times their curvature, each part of the
     rim by itself; coarse slices blur one direction more, on whole sides of the rim. What one more step of
-    diffusion changes shows how sensitive this shape is to its scale. A mesh of unknown origin may have been
-    cut from a blurred picture: that blur is taken back as a trial. Bends of real bone that the scale of the
-    normals leaves turn the plane by a height over its half extent.
+    diffusion changes shows how sensitive this shape is to its scale; bends of real bone that the scan does
+    not show turn the plane either way, as much as that step does on average. A mesh of unknown origin may
+    have been cut from a blurred picture: that blur is taken back as a trial.
     """
     region, y_axis = solved.region, solved.axes[:, 1]
     influence = Influence(solved)
@@ -72,11 +72,13 @@ def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Arra
     parts["edges"] = influence.sectors(left * even * curvature)
     parts["edges"] += influence.sectors(_ALL_OF_BLUR * (across - even) * curvature, _SIDES)
     parts["edges"][4, 4] += (_LONG_AXIS_LEFT_RAD * influence.roundness) ** 2
-    parts["edges"][[3, 5], [3, 5]] += (_HEIGHT_LEFT_MM / influence.extent[[2, 0]]) ** 2
     smoother = solve(region, y_axis, unit(region.diffusion.step(region.normals)))
     wanting = 2.0 * float(np.trace(spread)) / 3.0 / NORMAL_SCALE_MM**2
-    shape = wanting * _displacement(solved, smoother)
-    parts["resolution"] = np.outer(shape, shape)
+    step = _displacement(solved, smoother)
+    parts["resolution"] = wanting**2 * np.outer(step, step)
+    extent = influence.extent[[2, 0]]
+    heights = float(np.mean(np.square(step[[3, 5]] * extent)))
+    parts["resolution"][[3, 5], [3, 5]] += _TILT_LEFT**2 * wanting * heights / extent**2
     return parts
 
 

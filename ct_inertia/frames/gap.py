@@ -1,9 +1,10 @@
 """The gap between the rim of the footplate and the wall of the oval window, which the ligament bridges.
 
 The definition. The rim is what of the stapes looks outward along the plane of the medial face, from 0.3 mm
-below the lowest point of that face to 0.45 mm above it. The gap at a place of the rim is the shortest
-distance to the surface of other bone that looks back, where that is at most 0.25 mm; as a number the median
-over equal steps along the outline.
+below the lowest point of that face to 0.45 mm above it, both surfaces averaged over 0.05 mm: of rough ones
+the bumps would be nearest. The gap at a place of the rim is the shortest distance to the surface of other
+bone that looks back, where that is at most 0.25 mm, averaged over the layer of 0.03 mm where that is least
+around the place; as a number the median over equal steps along the outline.
 """
 
 from __future__ import annotations
@@ -11,11 +12,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ct_inertia.bodies import BodySurface
 from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.footplate import FootplateFrame
 from ct_inertia.frames.footplate_face import EDGE_MM, NORMAL_SCALE_MM
-from ct_inertia.surface.fields import refined, ring_normals, sum_at_corners, unit
+from ct_inertia.surface.fields import Diffusion, refined, unit
+from ct_inertia.surface.repair import pieces
 from ct_inertia.surface.surface import Surface, chosen_part
 from stapeskit.arrays import Array
 
@@ -25,10 +29,14 @@ FARTHEST_MM = 0.25
 _STEP_MM = 0.06  # between places along the rim: about the scale of the normals, and more than the triangles
 _HEIGHT_MM, _BELOW_MM = 0.45, 0.3  # the window's depth
 _FACING = 0.5  # cosine of the angle within which a surface looks at the wall
-_NEAREST = 0.1  # share of the points at a place whose mean is the gap: the least alone is too small by noise
+_SPECK = 0.01  # of the triangles near the rim: smaller pieces are specks of noise
+_LAYER_MM, _NEIGHBOURS = 0.03, 5  # layers of the rim, and places each way over which they are compared
+_APART = 3  # places between which noise has nothing in common
+_LEAST_POINTS = 0.25  # of those of the fullest layer: a layer with fewer is the end of what looks outward
 _LEAST_SHARE = 0.5  # of the rim with a wall opposite, below which the median says nothing about the rest
 _MOST_SD = 0.5  # of the gap, above which it is not stated: zero is within two standard deviations
-_BLUR_SD, _LEAST_SD_MM = calibrated("gap.blur_sd"), calibrated("gap.least_sd_mm")
+_CHOSEN_BY_NOISE = 0.2  # of the noise of a place: what it shares with those around it, in the least of two
+_TAILS_SD, _EDGES_SD = calibrated("gap.tails_sd"), calibrated("gap.edges_sd")
 
 
 @dataclass(frozen=True)
@@ -61,24 +69,27 @@ class WindowGap:
 
 
 def window_gap(
-    footplate: FootplateFrame, surface: Surface, wall: Surface, resolution_mm: float, level_sd_mm: float
+    footplate: FootplateFrame,
+    surface: Surface,
+    wall: Surface,
+    bodies: tuple[BodySurface, BodySurface] | None = None,
 ) -> WindowGap | None:
     """Measure the gap; None where less than half of the rim has a wall opposite, or its sd is half of it.
 
-    Parameters
-    ----------
-    surface, wall : Surface
-        Of the stapes and of other bone, scan coordinates.
-    resolution_mm : float
-        Standard deviation of the blur of the scan.
-    level_sd_mm : float
-        Of one shift of either surface along its normal, in common.
+    ``surface`` and ``wall`` are those of the stapes and of other bone, in scan coordinates; ``bodies``: how
+    both err, None: not at all.
+
+    Notes
+    -----
+    Both surfaces move with the level. Second differences of the gap over places farther apart than what is
+    averaged show the noise of one place, six times its variance: the median of n places, every third by
+    itself, has pi / 2 times 3 / n of it; and noise chooses the layer where the rim is nearest. Two surfaces
+    that are near share their tails, and blur leaves edges rounded.
     """
     to_footplate = footplate.scan_from_footplate.inverse()
     places, outward = _places(footplate.outline_mm)
     low = float(footplate.outline_mm[:, 1].min())
-    rim = _near(to_footplate.points(surface.vertices_mm), surface, low, places)
-    other = _near(to_footplate.points(wall.vertices_mm), wall, low, places)
+    rim, other = (_near(to_footplate.points(one.vertices_mm), one, low, places) for one in (surface, wall))
     if rim is None or other is None:
         return None
     along = _distances(rim, other, places, outward)
@@ -88,13 +99,27 @@ def window_gap(
         return None
     widths = along[there]
     median = float(np.median(widths))
-    # Two surfaces that near share their tails; both move with the level.
-    over = float(np.exp(-0.5 * (median / max(resolution_mm, 1e-9)) ** 2)) * resolution_mm
-    sd = float(np.sqrt((2.0 * level_sd_mm) ** 2 + (_BLUR_SD * over) ** 2 + _LEAST_SD_MM**2))
+    at_rim = footplate.scan_from_footplate.points(footplate.outline_mm)
+    sd = 0.0 if bodies is None else _standard_deviation(median, along, bodies, at_rim)
     if sd > _MOST_SD * median:
         return None
     harmonic = float(1.0 / np.mean(1.0 / widths))
     return WindowGap(median, sd, harmonic, float(np.std(widths)), share, places, along)
+
+
+def _standard_deviation(
+    gap_mm: float, along: Array, bodies: tuple[BodySurface, BodySurface], rim_mm: Array
+) -> float:
+    """Return the standard deviation of a median gap of those along the rim; ``rim_mm`` (n, 3) in scan mm."""
+    bends = np.roll(along, -_APART) - 2.0 * along + np.roll(along, _APART)
+    rough = float(np.nanmean(bends**2)) / 6.0 if np.isfinite(bends).any() else gap_mm**2
+    noise = rough * (0.5 * np.pi * _APART / np.count_nonzero(np.isfinite(along)) + _CHOSEN_BY_NOISE**2)
+    level = sum(body.level_sd_mm for body in bodies)
+    misfit = sum(float(np.median(body.misfit_at(rim_mm))) ** 2 for body in bodies)
+    resolution = max(body.resolution_mm for body in bodies)
+    tails = float(np.exp(-0.5 * (gap_mm / resolution) ** 2))
+    blur = ((_TAILS_SD * tails) ** 2 + _EDGES_SD**2) * resolution**2
+    return float(np.sqrt(level**2 + misfit + noise + blur))
 
 
 def _places(outline_mm: Array) -> tuple[Array, Array]:
@@ -111,7 +136,7 @@ def _places(outline_mm: Array) -> tuple[Array, Array]:
 
 
 def _near(points: Array, surface: Surface, low: float, places: Array) -> tuple[Array, Array] | None:
-    """Return vertices (n, 3) and normals (n, 3) of the part of a surface near the rim, in footplate axes."""
+    """Return averaged vertices and normals (n, 3) of what of a surface is near the rim, in footplate axes."""
     from scipy.spatial import cKDTree
 
     margin = 2.0 * NORMAL_SCALE_MM
@@ -121,8 +146,11 @@ def _near(points: Array, surface: Surface, low: float, places: Array) -> tuple[A
     inside = np.all(near[surface.faces], axis=1)
     if not inside.any():
         return None
-    vertices, faces = refined(*chosen_part(points, surface.faces, inside), EDGE_MM)
-    return vertices, unit(sum_at_corners(faces, ring_normals(Surface(vertices, faces)), len(vertices)))
+    part, faces = chosen_part(points, surface.faces, inside)
+    large = [one for one in pieces(faces) if len(one) > _SPECK * len(faces)]
+    kept = np.isin(np.arange(len(faces)), np.concatenate(large))
+    diffusion = Diffusion(*refined(*chosen_part(part, faces, kept), EDGE_MM), NORMAL_SCALE_MM)
+    return diffusion.without_noise(), unit(diffusion.normals())
 
 
 def _distances(rim: tuple[Array, Array], wall: tuple[Array, Array], places: Array, outward: Array) -> Array:
@@ -143,9 +171,22 @@ def _distances(rim: tuple[Array, Array], wall: tuple[Array, Array], places: Arra
     ahead = np.sum(step[:, [0, 2]] * outward[owner], axis=1) > _FACING * length
     opposite = np.sum(against * normals, axis=1) < -_FACING
     seen = ahead & opposite & (across > 0.0) & (distance < FARTHEST_MM)
-    gap = np.full(len(places), np.nan)
-    distance, owner = distance[seen], owner[seen]
-    for place in np.unique(owner):
-        here = np.sort(distance[owner == place])
-        gap[place] = here[: int(np.ceil(_NEAREST * len(here)))].mean()
+    return _least(distance[seen], points[seen, 1], owner[seen], len(places))
+
+
+def _least(distance: Array, height: Array, owner: NDArray[np.intp], count: int) -> Array:
+    """Return the mean distance (count,) at each place over the layer where the rim is nearest around it."""
+    gap = np.full(count, np.nan)
+    if not len(distance):
+        return gap
+    layer = ((height - height.min()) / _LAYER_MM).astype(int)
+    shape = (count, int(layer.max()) + 1)
+    cell = np.ravel_multi_index((owner, layer), shape)
+    number, total = (np.bincount(cell, each, gap.size * shape[1]).reshape(shape) for each in (None, distance))
+    turns = range(-_NEIGHBOURS, _NEIGHBOURS + 1)
+    around, sums = (np.sum([np.roll(one, k, axis=0) for k in turns], axis=0) for one in (number, total))
+    mean = np.where(around >= _LEAST_POINTS * around.max(axis=1, keepdims=True), sums, np.inf)
+    best = np.arange(count), np.argmin(mean / np.maximum(around, 1), axis=1)
+    there = number[best] > 0
+    gap[there] = total[best][there] / number[best][there]
     return gap

@@ -16,6 +16,7 @@ _RIM_WIDTHS = 3.29  # widths of the blur between these shares of a plane edge
 _INTERPOLATION = 1.0 / 6.0  # voxels^2: variance of the triangle between two voxels
 _MISFIT_SIGMAS = 4.0  # widths of the blur over which a misfit is taken as common
 _MISFIT_HEIGHT = calibrated("surface.misfit_height")
+_BLUR_LEFT = calibrated("surface.blur_left")
 
 
 def body_surface(
@@ -42,6 +43,7 @@ def body_surface(
     where = fit.side(name, window)
     shown = np.where(where, fit.above(name, window), np.float32(-1.0))
     share = fit.shares[name][window]
+    spread = fit.spread_in_scan_mm2 + (_INTERPOLATION + fit.smoothing**2) * cell @ cell.T
     edge = (share > _RIM[0]) & (share < _RIM[1]) & where & begin.near[window]
     rim = edge.astype(np.float32)
     square = np.square(fit.residual[window] * np.float32(1.0 / contrast)) * rim
@@ -54,8 +56,8 @@ def body_surface(
     return BodySurface(
         field=shown,
         scan_from_index=begin.grid.part(window).scan_from_index,
-        blur_mm=0.0,
-        spread_mm2=fit.spread_in_scan_mm2 + (_INTERPOLATION + fit.smoothing**2) * cell @ cell.T,
+        blur_mm=_BLUR_LEFT * float(np.sqrt(np.trace(spread) / 3.0)),
+        spread_mm2=spread,
         noise_mm4=noise**2 * begin.correlation * begin.grid.voxel_mm3 * _RIM_WIDTHS * fit.sigma_mm / 0.9**2,
         misfit_sd_mm=(extra * np.float32(_MISFIT_HEIGHT * slope)).astype(np.float32),
         misfit_mm=_MISFIT_SIGMAS * fit.sigma_mm,

@@ -12,6 +12,8 @@ from ct_inertia.api import ct2mass
 from ct_inertia.cli import work
 from ct_inertia.exports.labels import write_segmentation
 from ct_inertia.exports.write import EXPORTS
+from ct_inertia.frames.footplate import footplate_frame
+from ct_inertia.frames.gap import window_gap
 from ct_inertia.options import EXPORTS as EXPORT_NAMES
 from ct_inertia.report.pictured import pictured_from
 from ct_inertia.report.sections import mass_page
@@ -20,6 +22,7 @@ from ct_inertia.results import MassResult
 from ct_inertia.scan.open_scan import open_labels
 from ct_inertia.surface.surface import Surface
 from simulate import Ear, Scan, Stapes, simulate_study, stapes_solid, write_labels
+from simulate.solids import joined
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform, rotation_from_vector
 from stapeskit.outputs import MANIFEST
@@ -80,6 +83,17 @@ def test_labels_in_another_unit_are_refused_before_a_frame_of_metres_is_sought(t
     with pytest.raises(StapeskitError) as caught:
         ct2mass(labels=tmp_path / "a.seg.nrrd")
     assert caught.value.faults[0].thing == "the stapes"
+
+
+def test_the_gap_of_the_ligament_lies_within_its_stated_sd(study: Study) -> None:
+    """Noise makes both surfaces rough; bumps that are nearest must not count for the gap."""
+    stapes, *others = (solid for solid, material in study.truth.placed.solids if material == "bone")
+    wall = joined(*others)
+    exact = Surface(stapes.vertices_mm, stapes.faces)
+    true = window_gap(footplate_frame(exact), exact, Surface(wall.vertices_mm, wall.faces))
+    found = study.scanned.gap
+    assert abs(found.median_mm - true.median_mm) < 2.5 * found.sd_mm
+    assert found.sd_mm < 0.006
 
 
 def test_labels_state_no_smaller_sd_than_the_scan_alone(study: Study) -> None:

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ct_inertia.bodies import BodySurface
 from ct_inertia.ct2mass import _plate_frame
 from ct_inertia.frames.fiducials import PlateFiducials, plate_frame_from_fiducials, read_plate_fiducials
 from ct_inertia.frames.footplate import footplate_frame
@@ -174,7 +175,7 @@ def test_the_gap_of_exact_surfaces_is_the_one_that_was_built(gap_mm: float) -> N
     bones = [solid for solid, material in ear.solids() if material == "bone"]
     wall = joined(*bones[1:])
     stapes = Surface(bones[0].vertices_mm, bones[0].faces)
-    found = window_gap(footplate_frame(stapes), stapes, Surface(wall.vertices_mm, wall.faces), 0.0, 0.0)
+    found = window_gap(footplate_frame(stapes), stapes, Surface(wall.vertices_mm, wall.faces))
     assert found is not None
     assert found.median_mm == pytest.approx(gap_mm, abs=0.003)
     assert found.harmonic_mm <= found.median_mm + found.spread_mm
@@ -194,9 +195,10 @@ def test_a_level_that_is_off_changes_the_gap_by_what_its_sd_states() -> None:
     wall = joined(*bones[1:])
     stapes, other = (Surface(part.vertices_mm, part.faces) for part in (bones[0], wall))
     frame = footplate_frame(stapes)
-    plain, stated = (window_gap(frame, stapes, other, 0.0, sd) for sd in (0.0, 0.01))
-    off = window_gap(frame, grown(stapes, 0.01), grown(other, 0.01), 0.0, 0.0)
-    assert plain is not None and stated is not None and off is not None  # noqa: PT018
-    by_level = np.sqrt(stated.sd_mm**2 - plain.sd_mm**2)
-    found = abs(off.median_mm - plain.median_mm)
-    assert found <= by_level < 1.3 * found  # normals at the rounded rim are not all across the gap
+    nothing = np.zeros((2, 2, 2), dtype=np.float32)
+    body = BodySurface(nothing, np.eye(4), 0.0, 1e-12 * np.eye(3), 0.0, nothing, 0.1, level_sd_mm=0.01)
+    stated = window_gap(frame, stapes, other, (body, body))
+    off = window_gap(frame, grown(stapes, 0.01), grown(other, 0.01))
+    assert stated is not None and off is not None  # noqa: PT018
+    found = abs(off.median_mm - stated.median_mm)
+    assert found <= stated.sd_mm < 1.3 * found  # normals at the rounded rim are not all across the gap
