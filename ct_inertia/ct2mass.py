@@ -21,7 +21,7 @@ from ct_inertia.frames.footplate import FootplateFrame, footplate_frame, pose_ne
 from ct_inertia.frames.plate_frame import PlateFrame, plate_frame
 from ct_inertia.inputs import Inputs
 from ct_inertia.mass.properties import point_masses
-from ct_inertia.mass.sizes import impossible, measured_sizes, size_notice, unsuitable, unusual_notice
+from ct_inertia.mass.sizes import impossible, measured_sizes, unsuitable, unusual_notice
 from ct_inertia.mass.ways import MassByWay, assumed_notice, disagreements, masses_by_way, not_stated
 from ct_inertia.options import MassOptions
 from ct_inertia.results import MassResult
@@ -283,7 +283,6 @@ def _footplate(work: _Work, surface: Surface, moments: Moments) -> FootplateFram
     reasons = impossible(measured_sizes(moments.volume_m3, 1.0, footplate))
     if reasons and not named:
         raise unsuitable(reasons, work.notices)
-    work.notices += [size_notice(reasons)] if reasons else []
     if body is not None and body.one_sd is not None:
         other = contour(body.one_sd, body.scan_from_index)
         footplate = footplate.with_other_surface(pose_near(other, footplate, body))

@@ -74,13 +74,7 @@ def read_labels(
 
 
 def _drop_islands(result: Labels, labels: Scan) -> list[Notice]:
-    """Remove islands away from the stapes, in place; return a warning that lists them.
-
-    Raises
-    ------
-    StapeskitError
-        What lies apart is no slip of the brush: more than 5 % of the label.
-    """
+    """Remove islands away from the stapes, in place; return a warning that lists them."""
     import cc3d
 
     used = used_box(result == STAPES) or (slice(0, 1),) * 3

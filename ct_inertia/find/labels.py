@@ -149,13 +149,7 @@ def _on_scan(drawn: Drawn, grid: Grid, scan: Scan, overview: Overview, notices: 
 
 
 def _grid_in(scan: Scan, labels: Scan) -> Grid:
-    """Return the grid of labels in the scan that they were drawn on.
-
-    Raises
-    ------
-    StapeskitError
-        The labels do not lie on voxels of the scan.
-    """
+    """Return the grid of labels in the scan that they were drawn on."""
     spacing = float(np.max(np.abs(labels.spacing_mm / scan.spacing_mm - 1.0)))
     turned = float(np.max(np.abs(labels.direction - scan.direction)))
     place = scan.index_points(labels.origin_mm)
@@ -186,11 +180,6 @@ def _check_place(box: Box, local: Drawn, bright: Mask) -> None:
     Labels drawn too large or too small hold all of the bone, or nothing else; where neither is true the shift
     is looked for at which they hold most bone, step by step: of the piece that they hold most of, since a
     wall beside the stapes would draw them.
-
-    Raises
-    ------
-    StapeskitError
-        They hold clearly more bone elsewhere.
     """
     from scipy.ndimage import label
 
@@ -229,13 +218,7 @@ def _check_place(box: Box, local: Drawn, bright: Mask) -> None:
 
 
 def _levels(box: Box, local: Drawn) -> tuple[float, float]:
-    """Return first levels: air away from every label, bone deep inside the stapes.
-
-    Raises
-    ------
-    StapeskitError
-        The labelled stapes is no brighter than what is around it.
-    """
+    """Return first levels: air away from every label, bone deep inside the stapes."""
     step = float(box.spacing_mm.max())
     far = capped_distance(local != 0, box.spacing_mm, 6.0 * step) > np.float32(5.0 * step)
     depth = capped_distance(local != STAPES, box.spacing_mm, 6.0 * step)

@@ -136,14 +136,7 @@ def _check_alike(slices: Sequence[_Slice]) -> None:
 
 
 def _placed(stored: Stored, slices: Sequence[_Slice]) -> list[_Slice]:
-    """Set the place of slices, and return them in the order of their positions.
-
-    Raises
-    ------
-    StapeskitError
-        Some have no positions, their distances are uneven, or they lie beside each other, as a tilted gantry
-        makes them: their voxels are no boxes.
-    """
+    """Set the place of slices, and return them in the order of their positions."""
     places = np.array([one.numbers("ImagePositionPatient", 3) for one in slices])
     axes = slices[0].numbers("ImageOrientationPatient", 6)
     direction = np.column_stack([axes[:3], axes[3:], np.cross(axes[:3], axes[3:])])
@@ -179,13 +172,7 @@ def _placed(stored: Stored, slices: Sequence[_Slice]) -> list[_Slice]:
 
 
 def _numbered(stored: Stored, slices: Sequence[_Slice]) -> list[_Slice]:
-    """Return slices without positions in the order of their numbers; the user states their distance.
-
-    Raises
-    ------
-    StapeskitError
-        They have no numbers, or one twice.
-    """
+    """Return slices without positions in the order of their numbers; the user states their distance."""
     numbers = np.array([one.numbers("InstanceNumber", 1)[0] for one in slices])
     if len(np.unique(numbers[np.isfinite(numbers)])) < len(slices):
         wanted, step = "at positions or numbered", "Export them with positions, or as TIFF slices"
@@ -201,13 +188,7 @@ def _numbered(stored: Stored, slices: Sequence[_Slice]) -> list[_Slice]:
 
 
 def _dtype(slices: Sequence[_Slice]) -> np.dtype[Any]:
-    """Return the type of the rescaled pixels of all slices.
-
-    Raises
-    ------
-    StapeskitError
-        Colours, another type of pixels, or a rescaling that is none.
-    """
+    """Return the type of the rescaled pixels of all slices."""
     first = slices[0]
     if int(first.get("SamplesPerPixel", 1)) > 1 or first.get("PhotometricInterpretation") == "PALETTE COLOR":
         raise several_values("a colour image", first.file.name)

@@ -100,13 +100,7 @@ def _open(
     raw: RawLayout | None = None,
     labels: bool = False,
 ) -> Scan:
-    """Open a file or folder as a scan on a right-handed grid; spacing and mirror are the user's.
-
-    Raises
-    ------
-    StapeskitError
-        No scan, no spacing, or sheared directions.
-    """
+    """Open a file or folder as a scan on a right-handed grid; spacing and mirror are the user's."""
     path = _existing(path)
     name = path.name
     entry = format_of(path) if raw is None or path.is_dir() else RAW
@@ -152,13 +146,7 @@ def _open(
 
 
 def _existing(path: Path) -> Path:
-    """Return the path of a folder, or of a regular file with content.
-
-    Raises
-    ------
-    StapeskitError
-        Nothing is there, it cannot be looked at, it is empty, or it is a pipe or a device.
-    """
+    """Return the path of a folder, or of a regular file with content."""
     wanted, got, step = "a file or folder that can be read", "", "Check its path and permissions"
     try:
         if not path.exists():

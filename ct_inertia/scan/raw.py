@@ -167,13 +167,7 @@ def plane_reader(planes: Sequence[tuple[Path, int]], shape: tuple[int, ...], dty
 
 
 def _values(file: Path, start: int, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
-    """Return so many values at a byte of a file.
-
-    Raises
-    ------
-    StapeskitError
-        The file has gone, may no longer be read, or ends before.
-    """
+    """Return so many values at a byte of a file."""
     try:
         values = np.fromfile(file, dtype, count, offset=start)
     except OSError as fault:

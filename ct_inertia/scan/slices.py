@@ -60,13 +60,7 @@ def open_slices(folder: Path) -> Stored:
 
 
 def _series(folder: Path) -> tuple[list[Path], list[int], int]:
-    """Return the slices of the only numbered series, their numbers, and the count of other images.
-
-    Raises
-    ------
-    StapeskitError
-        No series, two of them, or a number twice.
-    """
+    """Return the slices of the only numbered series, their numbers, and the count of other images."""
     images = [
         path
         for path in sorted(folder.iterdir())

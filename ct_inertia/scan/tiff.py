@@ -234,8 +234,6 @@ def _imagej_values(stored: Stored, meta: dict[str, Any]) -> None:
 def _ome_place(stored: Stored, xml: str, number: int, count: int) -> None:
     """Set the place that OME-XML states of one of so many images.
 
-    Notes
-    -----
     Lengths are in micrometres where no unit is given (OME schema 2016-06). A position in a reference frame
     without a length counts as 0. Where PhysicalSizeZ is missing, it is the distance of the planes; where the
     two differ, planes were left out or turned round, and neither is believed.

@@ -34,7 +34,7 @@ def read_mesh(path: Path | str, close: bool = False) -> Surface:
     Parameters
     ----------
     close : bool
-        Fill its holes; several open pieces are replaced by where their winding number passes one half.
+        Fill the holes of one open piece.
 
     Raises
     ------
@@ -117,23 +117,21 @@ def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Surfa
     faces, doubled = _without_doubles(faces)
     if doubled:
         texts.append(f"{doubled} faces of {name} were there twice; one of each is kept.")
-    notices, caps = [], tuple[Cap, ...]()
+    caps: tuple[Cap, ...] = ()
     if len(boundary_edges(faces)):
         where = _holes(vertices, faces)
         if not close:
             step = "Close them in the program that made the surface (a solid fill), or let --close do it"
             raise StapeskitError.of("the surface", "closed", f"{where} in {len(faces)} faces", name, step)
-        vertices, faces, caps, how = _closed(vertices, faces, name)
-        text = (
-            f"{name} had {where}; {how} (--close). The budget holds what may be missing: look at the surface."
+        vertices, faces, caps = _closed(vertices, faces, name)
+        texts.append(
+            f"{name} had {where}; --close filled them, and the budget holds what may be missing: look."
         )
-        notices.append(Notice("holes_closed", text))
     faces, turned = _oriented(vertices, faces, name)
     if turned:
         texts.append(f"{turned} of {len(faces)} faces of {name} were wound the other way; they were turned.")
-    if texts:
-        notices.append(Notice("file_read", " ".join(texts)))
-    return Surface(vertices, faces, caps=caps, notices=tuple(notices))
+    notices = (Notice("file_read", " ".join(texts)),) if texts else ()
+    return Surface(vertices, faces, caps=caps, notices=notices)
 
 
 def _joined(vertices: Array, faces: Faces) -> tuple[Array, Faces, int]:
@@ -158,8 +156,6 @@ def _joined(vertices: Array, faces: Faces) -> tuple[Array, Faces, int]:
 def _without_doubles(faces: Faces) -> tuple[Faces, int]:
     """Drop doubled faces; keep one of each, unless the mesh is as closed without both of a pair.
 
-    Notes
-    -----
     Two bodies that touch share faces of opposite sense, which cancel; one of them would close a hole that is
     none.
     """
@@ -185,21 +181,12 @@ def _edges(faces: Faces) -> Faces:
     return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 
 
-def _closed(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, tuple[Cap, ...], str]:
-    """Close an open mesh, say what it may lack, and how: open pieces would count twice where they overlap.
-
-    Raises
-    ------
-    StapeskitError
-        Holes that cannot be filled, or where the surface is cut off: nothing shows how much is missing there.
-    """
-    from ct_inertia.surface.winding import winding_surface
-
+def _closed(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, tuple[Cap, ...]]:
+    """Fill the holes of one open piece; refuse where nothing shows how much of the body is missing."""
     step = "Close it in the program that made it, where what is missing is known"
     if sum(len(boundary_edges(faces[piece])) > 0 for piece in pieces(faces)) > 1:
-        made = winding_surface(vertices, faces, name)
-        how = "its pieces were replaced by the surface of winding number one half"
-        return made.vertices_mm, made.faces, made.caps, how
+        got = "several open pieces, which would count twice where they overlap"
+        raise StapeskitError.of("the surface", "one that --close can close", got, name, step)
     vertices, faces, new = _filled(vertices, faces)
     if not new.any() or len(boundary_edges(faces)):
         got = "holes that pymeshlab cannot fill"
@@ -209,18 +196,12 @@ def _closed(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, tup
     if cut:
         expected = f"within {_STEEPEST_DEG:g} degrees of flat where --close closes a hole"
         raise StapeskitError.of("the surface", expected, f"a body cut off {' and '.join(cut)}", name, step)
-    return vertices, faces, caps, "they were filled"
+    return vertices, faces, caps
 
 
 def _filled(vertices: Array, faces: Faces) -> tuple[Array, Faces, NDArray[np.bool_]]:
-    """Fill the holes of a mesh as far as pymeshlab can; return which faces (m,) are new, too.
-
-    Raises
-    ------
-    StapeskitError
-        pymeshlab cannot be imported: on some machines it has no wheel or misses a graphics library.
-    """
-    try:
+    """Fill the holes of a mesh as far as pymeshlab can; return which faces (m,) are new, too."""
+    try:  # on some machines it has no wheel or misses a graphics library
         import pymeshlab
     except (ImportError, OSError) as fault:
         step = "Run pip install pymeshlab (on Debian also apt-get install libgl1 libopengl0)"
@@ -240,8 +221,6 @@ def _filled(vertices: Array, faces: Faces) -> tuple[Array, Faces, NDArray[np.boo
 def _caps(vertices: Array, faces: Faces, new: NDArray[np.bool_]) -> Iterator[Cap]:
     """Yield what closes each hole of a closed mesh with outward faces, of which some are new.
 
-    Notes
-    -----
     Across a hole of area pi a^2 where the surface meets a flat cap at the angle t, a sphere would go on as a
     dome of height h = a tan(t / 2) and volume pi h (3 a^2 + h^2) / 6.
     """
