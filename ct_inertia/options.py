@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -78,34 +79,28 @@ def _sd_below_value(key: str, flag: str) -> Rule:
     )
 
 
-def _not_with_mesh(key: str, flag: str) -> Rule:
-    """Return the rule that an option on grey values or voxels is not given with a surface mesh."""
-    fault = Fault(
-        flag, "left out when the input is a surface mesh", "given", "", "It is about grey values or voxels"
-    )
-    return Rule(lambda v: is_mesh(v.file) and getattr(v, key) not in (None, (), False), fault)
-
-
-def _not_with_labels(key: str, flag: str) -> Rule:
-    """Return the rule that labels exclude options which seek the stapes."""
-    fault = Fault(
-        flag, "left out with --labels, which say where the stapes is", "both", "", f"Leave out {flag}"
-    )
-    return Rule(lambda v: v.labels is not None and getattr(v, key) is not None, fault)
+def _without(flag: str, reason: str, step: str, excluded: Callable[[Any], bool]) -> Rule:
+    """Return the rule that another input excludes an option."""
+    fault = Fault(flag, f"left out {reason}", "given", "", step)
+    return Rule(lambda v: excluded(v) and getattr(v, _VOXELS[flag]) not in (None, (), False), fault)
 
 
 _VOXELS = {
-    "spacing_mm": "--spacing",
-    "mirror": "--mirror",
-    "nan_as_air": "--nan-as-air",
-    "shape": "--shape",
-    "calibration": "--calibration",
-    "labels": "--labels",
-    "threshold": "--threshold",
-    "seed_mm": "--seed",
-    "box_mm": "--box",
-    "coat_um": "--coat",
+    "--spacing": "spacing_mm",
+    "--mirror": "mirror",
+    "--nan-as-air": "nan_as_air",
+    "--shape": "shape",
+    "--calibration": "calibration",
+    "--labels": "labels",
+    "--threshold": "threshold",
+    "--seed": "seed_mm",
+    "--box": "box_mm",
+    "--coat": "coat_um",
 }
+"""Options about grey values or voxels."""
+
+_MESH = "when the input is a surface mesh", "It is about grey values or voxels"
+_LABELLED = "with --labels, which say where the stapes is", "Leave it out"
 
 
 class MassOptions(Options):
@@ -159,10 +154,10 @@ class MassOptions(Options):
             _sd_below_value(*pair)
             for pair in (("density_kg_m3", "--density"), ("mass_mg", "--mass-mg"), ("coat_um", "--coat"))
         ),
-        *(_not_with_mesh(*pair) for pair in _VOXELS.items()),
+        *(_without(flag, *_MESH, lambda v: is_mesh(v.file)) for flag in _VOXELS),
         *(
-            _not_with_labels(*pair)
-            for pair in (("threshold", "--threshold"), ("seed_mm", "--seed"), ("box_mm", "--box"))
+            _without(flag, *_LABELLED, lambda v: v.labels is not None)
+            for flag in ("--threshold", "--seed", "--box")
         ),
     )
 

@@ -150,6 +150,7 @@ def _geometry(path: Path, mm: float, stated: bool, big: bool) -> tuple[Stored, i
         tuple(reversed(size)),
         np.dtype(f"{'>' if big else '<'}{_KINDS[kind[2]]}{int(kind[1]) // 8}"),
         spacing_mm=np.abs(np.array(reader.GetSpacing())[:3]) * mm if stated else None,
+        unit_mm=mm,
         origin_mm=np.array(reader.GetOrigin())[:3] * mm,
         direction=np.array(reader.GetDirection()).reshape(len(size), -1)[:3, :3],
     )

@@ -55,7 +55,7 @@ def _place(stored: Stored, header: Any, name: str) -> None:
     spacing = np.linalg.norm(affine[:3, :3], axis=0)
     if not np.all(np.isfinite(affine)) or np.any(spacing <= 0.0):
         return
-    stored.spacing_mm, stored.origin_mm = spacing * unit, affine[:3, 3] * unit
+    stored.spacing_mm, stored.origin_mm, stored.unit_mm = spacing * unit, affine[:3, 3] * unit, unit
     stored.direction = affine[:3, :3] / spacing
     stored.anatomical = sform is not None or qform is not None
     if sform is None:

@@ -32,7 +32,7 @@ _PRINTER_DPI = (1.0, 72.0, 96.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 1200.
 """Pixels per inch of screens and printers, which programs write where they know none."""
 
 _NOTED_CHANGE = 1e-3  # relative difference of two voxel sizes that is more than rounding
-_UNSET_RATIO = 4.0  # a slice distance of exactly 1 is not believed so far from the pixel size
+_UNSET = 4.0  # a slice distance of exactly 1 unit is not believed so many times off the pixel size
 _ORTHONORMAL = 1e-4  # of products of directions: headers round cosines to four digits; .3 um over a stapes
 
 
@@ -66,22 +66,6 @@ def is_printer_resolution(pixel_mm: float) -> bool:
     return any(abs(pixel_mm * dpi / 25.4 - 1.0) < 1e-4 for dpi in _PRINTER_DPI)
 
 
-def believed_spacing(spacing: Array, unit_mm: float) -> tuple[Array, str]:
-    """Leave out a slice distance of exactly 1 that nobody entered.
-
-    Returns spacing (3,), given in a unit of so many mm, in mm, with NaN along z where it is not believed, and
-    what the file says then.
-    """
-    x, y, z = spacing
-    if z == 1.0 and np.isfinite(x) and x > 0.0 and not 1.0 / _UNSET_RATIO <= x <= _UNSET_RATIO:
-        text = (
-            f"the file says {x * unit_mm:.6g} mm in a slice and slices exactly 1 unit ({unit_mm:g} mm) "
-            f"apart, which programs write where nobody entered a distance"
-        )
-        return np.array([x, y, np.nan]) * unit_mm, text
-    return spacing * unit_mm, ""
-
-
 def choose_spacing(stored: Stored, from_user: float | Sequence[float] | None, name: str) -> Array:
     """Choose the voxel spacing (3,), mm: that of the user, otherwise that of the file of this name.
 
@@ -90,14 +74,19 @@ def choose_spacing(stored: Stored, from_user: float | Sequence[float] | None, na
     StapeskitError
         Neither has it.
     """
-    stated = np.full(3, np.nan) if stored.spacing_mm is None else np.asarray(stored.spacing_mm, dtype=float)
-    stated, unset = believed_spacing(stated, 1.0)
+    stated = np.full(3, np.nan) if stored.spacing_mm is None else np.array(stored.spacing_mm, dtype=float)
+    known, unit = stored.known, stored.unit_mm
+    if np.isclose(stated[2], unit, rtol=1e-9, atol=0.0) and not unit / _UNSET < stated[0] < unit * _UNSET:
+        stated[2] = np.nan
+        known = (
+            f"slices exactly 1 unit ({unit:g} mm) apart, as programs write where nobody entered a distance"
+        )
     if from_user is None:
         if not np.all(stated > 0.0):
-            known = unset or stored.known if np.any(np.isnan(stated)) else _times(stated)
-            wanted, got = "in the file or given", f"none{': ' + known if known else ''}"
+            wanted = "in the file or given"
+            got = "; ".join(filter(None, ("" if np.all(np.isnan(stated)) else f"{_times(stated)} mm", known)))
             step = "Give it in mm with --spacing H or --spacing DX,DY,DZ"
-            raise StapeskitError.of("the voxel spacing", wanted, got, name, step)
+            raise StapeskitError.of("the voxel spacing", wanted, got or "none", name, step)
         return stated
     spacing = np.broadcast_to(np.asarray(from_user, dtype=float), 3).copy()
     with np.errstate(divide="ignore"):

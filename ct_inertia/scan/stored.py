@@ -67,6 +67,8 @@ class Stored:
         Planes that are decoded together.
     spacing_mm : ndarray, (3,), or None
         Along x, y, z; NaN along an axis, or None, where the file does not have it.
+    unit_mm : float
+        Unit in which the file states it, mm.
     direction : ndarray, (3, 3)
         As in `Scan`; may be left-handed.
     anatomical : bool
@@ -78,7 +80,7 @@ class Stored:
     coloured : bool
         Its numbers stand for colours whose brightness does not grow with them: labels may, grey values not.
     known : str
-        What the file says of an incomplete spacing, for the message.
+        Why a spacing is incomplete, for the message.
     names : dict of int to str
         Names of labels.
     files : tuple of Path
@@ -90,6 +92,7 @@ class Stored:
     voxels: Stream | Sequence[tuple[Path, int]] | Fetch | None = None
     depth: int = 1
     spacing_mm: Array | None = None
+    unit_mm: float = 1.0
     origin_mm: Array = field(default_factory=lambda: np.zeros(3))
     direction: Array = field(default_factory=lambda: np.eye(3))
     anatomical: bool = False

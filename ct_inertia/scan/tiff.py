@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.scan.numbers import note_gaps, numbered
-from ct_inertia.scan.place import believed_spacing, is_printer_resolution, mm_per_unit
+from ct_inertia.scan.place import is_printer_resolution, mm_per_unit
 from ct_inertia.scan.stored import (
     Stored,
     beside,
@@ -185,8 +185,7 @@ def _describe(stored: Stored, page: Any, meta: dict[str, Any]) -> None:
     if is_printer_resolution(x):
         stored.known = "the TIFF has the resolution of a screen or printer only"
     elif np.isfinite(x + y):
-        stored.spacing_mm = np.array([x, y, np.nan])
-        stored.known = f"the TIFF says {x:.6g} x {y:.6g} mm in a slice but not the distance of slices"
+        stored.spacing_mm, stored.known = np.array([x, y, np.nan]), ""
     if meta:
         _imagej_place(stored, meta, _resolution(page))
         _imagej_values(stored, meta)
@@ -212,13 +211,11 @@ def _imagej_place(stored: Stored, meta: dict[str, Any], pixels: Array) -> None:
         stored.spacing_mm, stored.known = None, f"the ImageJ unit is {meta.get('unit') or 'not set'}"
         return
     units = np.array([unit, *(mm_per_unit(str(meta.get(f"{axis}unit", ""))) or unit for axis in "yz")])
-    depth = float(meta.get("spacing") or np.nan)  # negative where planes were taken downwards: not believed
-    spacing, known = believed_spacing(np.array([*pixels, depth if depth > 0.0 else np.nan]), unit)
-    spacing = spacing * units / unit
-    stored.spacing_mm = spacing
-    stored.known = known or f"the ImageJ header says {spacing[0]:.6g} x {spacing[1]:.6g} mm in a slice" + (
-        f" and slices {depth * unit:.6g} mm apart, whose order is open" if depth < 0.0 else ""
-    )
+    depth = float(meta.get("spacing") or np.nan)
+    spacing = np.array([*pixels, depth if depth > 0.0 else np.nan]) * units
+    stored.spacing_mm, stored.unit_mm = spacing, float(units[2])
+    # Planes that were taken downwards: their order is open.
+    stored.known = f"slices {depth * units[2]:.6g} mm apart" if depth < 0.0 else ""
     zero = np.array([float(meta.get(f"{axis}origin") or 0.0) for axis in "xyz"])
     stored.origin_mm = np.nan_to_num(-zero * spacing, posinf=0.0, neginf=0.0)
 
@@ -257,15 +254,11 @@ def _ome_place(stored: Stored, xml: str, number: int, count: int) -> None:
         size[2] = np.abs(np.mean(steps))
     size[size <= 0.0] = np.nan
     differ = steps[np.abs(steps - size[2]) > _OTHER_STEPS * size[2]]  # never where one is unknown
-    unit = mm_per_unit(pixels.get("PhysicalSizeZUnit", "µm")) or 1.0
-    stored.spacing_mm, unset = believed_spacing(size / unit, unit)
-    known = [
-        f"{axis} {value:.6g} mm" for axis, value in zip("xyz", stored.spacing_mm, strict=True) if value > 0
-    ]
-    stored.known = unset or f"the OME header says {', '.join(known) or 'no physical size'}"
+    stored.spacing_mm, stored.known = size, ""
+    stored.unit_mm = mm_per_unit(pixels.get("PhysicalSizeZUnit", "µm")) or 1.0
     if len(differ):
-        stored.spacing_mm[2] = np.nan
-        stored.known += f", but planes that are {differ[0]:.6g} mm apart"
+        size[2] = np.nan
+        stored.known = f"planes that are {differ[0]:.6g} mm apart"
 
 
 def _lengths(element: Any, name: str, default_unit: str) -> Array:

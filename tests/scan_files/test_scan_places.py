@@ -188,19 +188,24 @@ def test_the_spacing_of_the_user_wins_with_a_notice(tmp_path):
 
 
 INCOMPLETE = {
-    "resolution": (w.plain, {"resolution": (500, 400), "resolutionunit": "CENTIMETER"}, "0.02 x 0.025 mm"),
+    "resolution": (
+        w.plain,
+        {"resolution": (500, 400), "resolutionunit": "CENTIMETER"},
+        "0.02 x 0.025 x ? mm",
+    ),
     "printer": (w.plain, {"resolution": (300, 300), "resolutionunit": "INCH"}, "screen or printer"),
     "pixel": (w.imagej, {"metadata": {"unit": "pixel"}}, "unit is pixel"),
-    "no z": (w.imagej, {"metadata": {"spacing": None, "finterval": 0.1}}, "0.02 x 0.025 mm"),
+    "no z": (w.imagej, {"metadata": {"spacing": None, "finterval": 0.1}}, "0.02 x 0.025 x ? mm"),
     "z of 1": (w.imagej, {"metadata": {"spacing": 1.0}}, "exactly 1 unit"),
-    "ome": (w.ome, {"metadata": {"PhysicalSizeZ": None}}, "x 0.02 mm, y 0.025 mm"),
+    "z of 1 um": (w.nrrd, {"spacings": "20 25 1", "units": '"um" "um" "um"'}, "exactly 1 unit (0.001 mm)"),
+    "ome": (w.ome, {"metadata": {"PhysicalSizeZ": None}}, "0.02 x 0.025 x ? mm"),
 }
 
 
 @pytest.mark.parametrize("name", INCOMPLETE)
 def test_an_incomplete_spacing_is_asked_for_with_what_is_known(tmp_path, name):
     write, options, known = INCOMPLETE[name]
-    path = tmp_path / ("a.ome.tif" if write is w.ome else "a.tif")
+    path = tmp_path / {w.ome: "a.ome.tif", w.nrrd: "a.nrrd"}.get(write, "a.tif")
     if name == "ome":
         sizes = {"PhysicalSizeX": 20.0, "PhysicalSizeY": 25.0, "axes": "ZYX"}
         tifffile.imwrite(path, picture(), metadata=sizes)
@@ -247,7 +252,7 @@ def test_signed_slices_of_imagej_have_the_values_that_it_shows(tmp_path):
         stored = (image.astype(int) + 31768).astype("u2")
         tifffile.imwrite(tmp_path / f"{k}.tif", stored, imagej=True, resolution=(50, 40), metadata=signed)
     assert np.array_equal(open_scan(tmp_path, SPACING).read(), picture() - 1000.0)
-    assert "0.02 x 0.025 mm in a slice" in refused(tmp_path).got
+    assert "0.02 x 0.025 x ? mm" in refused(tmp_path).got
 
 
 def test_white_is_zero_is_inverted_for_scans_and_not_for_labels(tmp_path):

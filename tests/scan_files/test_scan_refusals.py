@@ -197,7 +197,7 @@ def test_only_a_reconstruction_log_gives_the_voxel_size(tmp_path):
 def test_the_log_of_another_scanner_does_not_hide_what_the_slices_say(tmp_path):
     folder = w.slices(tmp_path / "rec", picture(), resolution=(500, 400), resolutionunit="CENTIMETER")
     (folder / "scan.log").write_text("Pixel Size (um)=20\n")
-    assert "0.02 x 0.025 mm in a slice" in refused(folder, None).got
+    assert "0.02 x 0.025 x ? mm" in refused(folder, None).got
 
 
 def test_folders_of_slices(tmp_path):
