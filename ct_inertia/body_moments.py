@@ -95,12 +95,7 @@ class Moments:
         return replace(self, contributions={**self.contributions, name: known + covariance})
 
     def volume_parameters(self, about_mm: Array) -> tuple[Array, dict[str, Array]]:
-        """Return the ten parameters at density 1 about a point in scan axes, SI, and their covariances.
-
-        Parameters
-        ----------
-        about_mm : ndarray, (3,)
-            Scan coordinates.
+        """Return the ten parameters at density 1 about a point (3,) in scan axes, SI, and their covariances.
 
         Returns
         -------

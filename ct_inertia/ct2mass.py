@@ -48,17 +48,7 @@ _HEAVY = ("scipy.spatial", "scipy.sparse.linalg", "vtkmodules.vtkFiltersCore")
 
 @dataclass
 class _Work:
-    """What a run has found so far.
-
-    Attributes
-    ----------
-    fiducials : PlateFiducials or None
-    calibration : Calibration or None
-    scan : Scan or None
-        The scan, or the grid of labels alone; None for a mesh.
-    measured : MeasuredBody or None
-        None for a mesh.
-    """
+    """What a run has found so far; ``scan`` is the grid of labels alone; a mesh has none of the last two."""
 
     options: MassOptions
     hints: AnatomyHints

@@ -1,4 +1,4 @@
-"""The input files of a run: hashed while they are read, and refused when they change meanwhile."""
+"""Input files: hashed on another thread while they are read, and refused when they change meanwhile."""
 
 from __future__ import annotations
 
@@ -12,13 +12,7 @@ from stapeskit.provenance import input_record
 
 
 class Inputs:
-    """The input files: hashed on another thread while they are read, and refused when they change meanwhile.
-
-    Parameters
-    ----------
-    paths : mapping of str to Path
-        By role.
-    """
+    """The input files by their role."""
 
     def __init__(self, paths: Mapping[str, Path]) -> None:
         self._pool = ThreadPoolExecutor(1)

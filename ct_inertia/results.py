@@ -215,10 +215,7 @@ class MassResult(Result):
     def write(self, folder: Path | str, *, force: bool = False, report: bool = True) -> tuple[Path, ...]:
         """Write mass.json, surfaces, labels and, unless ``report`` is off, report.html.
 
-        Parameters
-        ----------
-        force : bool
-            Replace files that are not known as written by ct2mass. Inputs are never replaced.
+        ``force`` replaces files that are not known as written by ct2mass, but never inputs.
 
         Raises
         ------

@@ -35,14 +35,7 @@ def outputs_of(
 ) -> tuple[Outputs, str]:
     """Return the files that a run may write, and the name of its labels: those given are never written over.
 
-    Parameters
-    ----------
-    options : MassOptions
-        They name the inputs.
-    exports : sequence of str
-        Formats of `EXPORTS`.
-    force : bool
-        Replace files that are not known as made by the command.
+    ``exports`` are formats of `EXPORTS`; ``force`` replaces files that the command is not known to have made.
     """
     folder = Path(folder)
     kept = folder / LABELS
@@ -62,15 +55,7 @@ def write_files(
     labels_name: str = LABELS,
     exports: Sequence[str] = (),
 ) -> tuple[str, ...]:
-    """Write every file of a result into an empty folder and return their names.
-
-    Parameters
-    ----------
-    report : bool
-        Whether report.html is written.
-    exports : sequence of str
-        Formats of `EXPORTS`.
-    """
+    """Write every file of a result into an empty folder and return their names, as in `outputs_of`."""
     content = result.content()
     names, packed = ["mass.json", "stapes.ply"], None
     with ThreadPoolExecutor(1) as pool:  # labels of a large scan are packed while the rest is written

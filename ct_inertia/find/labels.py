@@ -47,8 +47,6 @@ def label_stapes(
 
     Parameters
     ----------
-    labels : Scan
-        Whole numbers, one for each body.
     scan : Scan, optional
         The grey values that they were drawn on: the same grid, or a larger one.
     stapes_label, plate_label : int, optional

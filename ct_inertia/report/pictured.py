@@ -28,15 +28,7 @@ _MARGIN_MM = 0.5  # around the stapes: a choice for the eye
 
 @dataclass(frozen=True)
 class Slices:
-    """Grey values and labels of a box around the stapes.
-
-    Attributes
-    ----------
-    grey : ndarray of float32, [z, y, x]
-    labels : ndarray of uint8, [z, y, x]
-    scan_from_index : ndarray, (4, 4)
-        Index x, y, z of the box to scan coordinates, mm.
-    """
+    """Grey values and labels [z, y, x] around the stapes; index x, y, z to scan coordinates, mm, (4, 4)."""
 
     grey: Grey
     labels: NDArray[np.uint8]

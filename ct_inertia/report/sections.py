@@ -35,13 +35,7 @@ Content = Mapping[str, Any]
 
 
 def mass_page(content: Content, pictured: Pictured) -> page.Page:
-    """Return the page of a result.
-
-    Parameters
-    ----------
-    content : mapping
-        Of mass.json.
-    """
+    """Return the page of a result from the content of its mass.json."""
     source = next(iter(content["provenance"]["inputs"].values()))["file"]
     lead = "A stapes from micro-CT: volume, frames and generalized mass matrix about the footplate centre."
     shown = page.Page(f"Mass matrix of {source}", lead)

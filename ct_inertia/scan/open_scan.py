@@ -35,16 +35,12 @@ def open_scan(
 
     Parameters
     ----------
-    path : Path or str
-        A file, or a folder of slices.
     spacing_mm : float or sequence of 3 float, optional
         Voxel spacing along x, y, z, mm; needed where the file has none; wins over that of the file.
     mirror : str, optional
         ``x``, ``y`` or ``z``: reverse the voxels along that axis of the grid inside the box of the scan.
     nan_as_air : bool
         Let voxels that are not finite count as air.
-    raw : RawLayout, optional
-        How voxels lie in a file without a header.
 
     Raises
     ------

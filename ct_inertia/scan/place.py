@@ -83,10 +83,10 @@ def choose_spacing(stored: Stored, from_user: float | Sequence[float] | None, na
         )
     if from_user is None:
         if not np.all(stated > 0.0):
-            wanted = "in the file or given"
-            got = "; ".join(filter(None, ("" if np.all(np.isnan(stated)) else f"{_times(stated)} mm", known)))
+            told = "none" if np.all(np.isnan(stated)) else f"{_times(stated)} mm"
+            wanted, got = "in the file or given", f"{told}; {known}" if known else told
             step = "Give it in mm with --spacing H or --spacing DX,DY,DZ"
-            raise StapeskitError.of("the voxel spacing", wanted, got or "none", name, step)
+            raise StapeskitError.of("the voxel spacing", wanted, got, name, step)
         return stated
     spacing = np.broadcast_to(np.asarray(from_user, dtype=float), 3).copy()
     with np.errstate(divide="ignore"):

@@ -31,10 +31,7 @@ _STL_HEADER, _STL_TRIANGLE = 84, 50  # bytes of a binary STL, which counts its t
 def read_mesh(path: Path | str, close: bool = False) -> Surface:
     """Read a closed mesh from STL, PLY, OBJ or GLB; its numbers are taken as mm in scan coordinates.
 
-    Parameters
-    ----------
-    close : bool
-        Fill the holes of one open piece.
+    ``close`` fills the holes of one open piece.
 
     Raises
     ------
@@ -88,18 +85,7 @@ def _check_stl_count(path: Path) -> None:
 def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Surface:
     """Join corners, drop doubled faces, turn faces that are wound the other way, and close holes when asked.
 
-    Parameters
-    ----------
-    vertices : ndarray, (n, 3)
-        mm.
-    faces : ndarray of int, (m, 3)
-    name : str
-        Of the file.
-
-    Returns
-    -------
-    Surface
-        With faces outward; its notices say what was mended.
+    Takes vertices (n, 3), mm, and faces (m, 3) of a file; notices of the surface say what was mended.
 
     Raises
     ------
