@@ -99,8 +99,8 @@ def _drop_islands(result: Labels, labels: Scan) -> list[Notice]:
         )
     result[used][mask & (parts != main)] = 0
     text = (
-        f"The label of the stapes has {count - 1} islands away from the body, {rest} voxels "
-        f"({rest * labels.voxel_mm3:.4f} mm3), the largest around {where} mm: they were left out. Remove "
+        f"The label of the stapes has islands away from the body ({count - 1} of together {rest} voxels, "
+        f"{rest * labels.voxel_mm3:.4f} mm3; the largest around {where} mm): they were left out. Remove "
         "them from the label volume."
     )
     return [Notice("file_read", text)]
