@@ -99,11 +99,9 @@ def _only_series(folder: Path) -> tuple[list[_Slice], int]:
             one = _slice(file)
             if "Rows" in one.head:  # others are directories of a disk, reports, presentation states
                 series[str(one.get("SeriesInstanceUID", ""))].append(one)
+                if int(one.get("NumberOfFrames", 1)) > 1:
+                    raise _not_a_series(one)
     stacks = [one for one in series.values() if len(one) > 1] if len(series) > 1 else [*series.values()]
-    several = stacks[0] if len(stacks) == 1 else [one for files in series.values() for one in files]
-    framed = next((one for one in several if int(one.get("NumberOfFrames", 1)) > 1), None)
-    if framed is not None:
-        raise _not_a_series(framed)
     if len(stacks) != 1:
         titles = [f"{_title(one[0])} ({len(one)} files)" for one in series.values()]
         got = f"{len(series)} series{': ' if titles else ''}{list_some(titles, 6)}"
