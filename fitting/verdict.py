@@ -35,7 +35,7 @@ _CAUSES = {
     **dict.fromkeys(
         (
             "channel_label_swap", "channel_sign", "channel_direction", "channel_position", "channel_gain",
-            "channel_drift", "drift_between_points", "stated_errors_exceeded", "sample_moved", "flexible",
+            "channel_drift", "channels_scattered", "stated_errors_exceeded", "sample_moved", "flexible",
         ),
         OF_MODEL,
     ),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from math import radians
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -22,7 +21,6 @@ from stapeskit.option_types import (
     Words,
     entries,
     existing,
-    number,
     output_file,
     path,
     require,
@@ -67,13 +65,6 @@ FileOrNone = Annotated[
 ]
 Rules = Annotated[tuple[str, ...], Kind(_rules, "NAME=ITEMS", "NAME=ITEMS")]
 Texts = Annotated[tuple[str, ...], Kind(_texts, "BODY:POINT or BODY:POINT:BEAM", "CHANNEL")]
-Degrees = Annotated[
-    float, Kind(number, "degrees from 0 to 10", "NUMBER", where=lambda found: 0.0 <= found <= 10.0)
-]
-Microseconds = Annotated[
-    float, Kind(number, "microseconds from 0 to 100", "NUMBER", where=lambda found: 0.0 <= found <= 100.0)
-]
-"""Beyond these, two lasers are not one measurement: 10 degrees and 100 us are a hundred data sheets off."""
 CsvFile = Annotated[Path, output_file(".csv")]
 
 
@@ -155,10 +146,9 @@ class MotionOptions(Options):
         Kind,
         Opt("estimate axes, laser directions, gains and positions with the motion, within their sd", _LASERS),
     ] = False
-    gain_sd_percent: Annotated[Percent, Opt("sd of gains between lasers, percent; 0: exact", _LASERS)] = 1.0
-    phase_sd_deg: Annotated[Degrees, Opt("sd of phases between lasers, degrees; 0: exact", _LASERS)] = 0.5
-    delay_sd_us: Annotated[
-        Microseconds, Opt("sd of delays between lasers, microseconds; 0: exact", _LASERS)
+    gain_sd_percent: Annotated[
+        Percent,
+        Opt("sd of gains of lasers, percent, 0.5 degrees and 1 us with each percent; 0: exact", _LASERS),
     ] = 1.0
 
     body: Annotated[
@@ -222,8 +212,9 @@ class MotionOptions(Options):
     @property
     def laser_sd(self) -> dict[str, float]:
         """How well the lasers agree, by kind of error: 1, rad and s."""
-        gain, phase = self.gain_sd_percent / 100.0, radians(self.phase_sd_deg)
-        return {"laser_gain": gain, "laser_phase": phase, "laser_delay": 1e-6 * self.delay_sd_us}
+        from kinematics.joint.expected import LASER_SD
+
+        return {kind: self.gain_sd_percent * sd for kind, sd in LASER_SD.items()}
 
     def inputs(self) -> dict[str, Path]:
         """Return every file that is named, by its role."""

@@ -1,7 +1,7 @@
 """Read CSV tables as laboratories write them, and report every malformed row with its line.
 
-Commas, semicolons or tabs between columns; decimal commas with the latter two; UTF-8 and UTF-16, byte order
-marks, any line ends, quoted cells, ``#`` comments and the ``sep=;`` line of spreadsheets are fine.
+Commas, semicolons or tabs between columns; decimal commas with the latter two; UTF-8, UTF-16 and Latin-1,
+byte order marks, any line ends, quoted cells, ``#`` comments and the ``sep=;`` line of spreadsheets are fine.
 numpy reads tables whose rows are all alike; the others are read cell by cell, to find what is odd.
 """
 
@@ -87,8 +87,7 @@ def read_table(path: Path, choose: Choose) -> Table:
     Raises
     ------
     StapeskitError
-        The file is missing, empty, no text in UTF-8 or UTF-16, or has two columns of one name; and what
-        ``choose`` raises.
+        The file is missing, empty, no text, or has two columns of one name; and what ``choose`` raises.
     """
     sheet = _open(Path(path))
     try:
@@ -130,7 +129,7 @@ def _open(path: Path) -> _Sheet:
     separator = marked if marked in _SEPARATORS and marked in head else max(_SEPARATORS, key=bare.count)
     where = Place(file, "line", (line - 1,))
     try:
-        header = [_column_name(cell) for cell in next(csv.reader([head.rstrip("\r")], delimiter=separator))]
+        header = [_column_name(cell) for cell in next(csv.reader([head], delimiter=separator))]
     except csv.Error as error:
         got, step = str(error), "End lines with a line feed, and put quotes around whole names only"
         raise StapeskitError.of("the header", "one line of names", got, where, step) from error
@@ -142,7 +141,7 @@ def _open(path: Path) -> _Sheet:
     if twice := sorted(name for name, times in Counter(header).items() if name and times > 1):
         got, step = f"{', '.join(twice)} twice", "Rename or remove one of them"
         raise StapeskitError.of("column names", "different", got, where, step)
-    full = len(rest.rstrip(" \t\r\n;,"))  # without empty rows at the end, which spreadsheets write
+    full = len(rest.rstrip(" \t\n;,"))  # without empty rows at the end, which spreadsheets write
     body = rest[: rest.find("\n", full) + 1 or None] if full else ""
     return _Sheet(file, tuple(header), separator, body, line)
 
@@ -150,21 +149,27 @@ def _open(path: Path) -> _Sheet:
 def _text(path: Path) -> str:
     if not path.is_file():
         raise StapeskitError.of("the table", "an existing CSV file", path, "", "Check its name and folder")
-    data, where, got = path.read_bytes(), Place(path.name), ""
-    encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
-    if encoding != "utf-16" and b"\x00" in data:
-        got = "UTF-16 or binary data without a byte order mark"
-    try:
-        text = data.decode(encoding)
-    except UnicodeDecodeError as error:
-        text, got = "?", got or "another encoding"
-        where = Place(path.name, "line", (1 + data.count(b"\n", 0, error.start),))
+    content = path.read_bytes()
+    text, want, got, step = decoded(content), "a header and rows", "", "Export it again"
+    if "\0" in text:
+        want, got, step = "text", "binary data, or UTF-16 without a byte order mark", "Save it as CSV UTF-8"
+    elif not text.strip():
+        got = "an empty file"
     if got:
-        raise StapeskitError.of("a CSV file", "text in UTF-8", got, where, "Save it as CSV UTF-8")
-    if not text.strip():
-        got, step = "an empty file", "Export it again"
-        raise StapeskitError.of("a CSV file", "a header and rows", got, path.name, step)
-    return text if "\n" in text else text.replace("\r", "\n")
+        raise StapeskitError.of("a CSV file", want, got, path.name, step)
+    return text
+
+
+def decoded(content: bytes) -> str:
+    """Decode UTF-16 with its mark, UTF-8 or Latin-1, with line feeds at the ends of lines."""
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        text = content[: len(content) // 2 * 2].decode("utf-16", errors="replace")
+    else:
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = content.decode("latin-1")
+    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
 def _column_name(cell: str) -> str:
@@ -177,7 +182,7 @@ def _column_name(cell: str) -> str:
 
 def _read_alike(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table | None:
     """Read a table whose rows all have as many plain cells, no number missing; None for another one."""
-    text = sheet.body.rstrip("\r\n")
+    text = sheet.body.rstrip("\n")
     lines, width = text.split("\n"), len(sheet.header)
     alike = {line.count(sheet.separator) for line in lines} == {width - 1}
     if not alike or '"' in text or "#" in text:
@@ -192,7 +197,7 @@ def _read_alike(sheet: _Sheet, numbers: set[str], texts: set[str]) -> Table | No
             rows, kind, None, sheet.separator, usecols=places, ndmin=2, quotechar=None
         )
         if len(read) != len(rows):
-            raise ValueError("a return within a row")
+            raise ValueError("rows that are empty")
         return {sheet.header[place]: column for place, column in zip(places, read.T, strict=True)}
 
     try:

@@ -113,9 +113,7 @@ def _scatter(now: Round) -> Iterator[Cause]:
         if len(points) > 5 and abs(np.corrcoef(order, np.arange(len(order)))[0, 1]) > _IN_ORDER:
             text = f"{text}, growing in the order of the file"
             step = "The sample or the excitation changed during the scan: repeat it, or use a reference"
-            yield Cause(gain, "drift_between_points", text, step)
-        else:
-            yield Cause(gain, "channels_scattered", text, step)
+        yield Cause(gain, "channels_scattered", text, step)
 
 
 def random_errors(

@@ -120,8 +120,7 @@ class ErrorEstimate:
         text = (
             f"{what} by more than stated (p {shown.p_value:.1g}): most the {name}, by {value:+.3g} +- "
             f"{sd:.2g} {unit} (stated sd {stated:.2g} {unit}). The motion is corrected for it. Check beams, "
-            "positions and channels with a verdict, or state larger errors: --gain-sd, --phase-sd, "
-            "--delay-sd, sd_mm."
+            "positions and channels with a verdict, or state larger errors: --gain-sd, sd_mm."
         )
         return [Notice("stated_errors_exceeded", text)]
 

@@ -123,14 +123,16 @@ def check_extent(measurement: Measurement) -> None:
         Points of some bodies are so.
     """
     faults = []
+    assumed = any(notice.code == "length_unit_assumed" for notice in measurement.notices)
     for body in measurement.bodies:
         extent = 1e3 * float(np.max(np.ptp(body.arms_m, axis=0)))
         if extent > 0.0 and not _EXTENT_MM[0] <= extent <= _EXTENT_MM[1]:
             unit = "metres times" if extent < _EXTENT_MM[0] else "micrometres over"
             thing, step = (
                 f"the extent of the points of body {body.body}",
-                f"Give coordinates in mm: those in {unit} 1000",
+                "State their unit with --length-unit",
             )
+            step = step if assumed else f"Give coordinates in mm: those in {unit} 1000"
             faults.append(Fault(thing, "some mm", f"{extent:.3g} mm", "", step))
     raise_all(faults)
 

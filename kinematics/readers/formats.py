@@ -15,8 +15,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kinematics.readers.text import TEXT_ENDINGS, decoded, export_files
+from kinematics.readers.text import TEXT_ENDINGS, export_files
 from stapeskit.faults import StapeskitError
+from stapeskit.tables import decoded
 
 if TYPE_CHECKING:
     from kinematics.readers.facts import FileFacts

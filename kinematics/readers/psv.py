@@ -19,12 +19,13 @@ import numpy as np
 from kinematics.readers.facts import FileFacts
 from kinematics.readers.recording import Recording, Row, unknown_vector
 from kinematics.readers.sheets import Sheet, sheets_of
-from kinematics.readers.text import decoded, export_files
+from kinematics.readers.text import export_files
 from kinematics.readers.units import HERTZ, LENGTHS, is_none, plain
 from kinematics.readers.wide import frequencies_of, left_out_notices, rows_of
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, collect_faults, raise_all
 from stapeskit.frames import axis_vector
+from stapeskit.tables import decoded
 from stapeskit.warnings import Notice
 
 _FREQUENCY = ("frequency", "frequenz", "fréquence")

@@ -1,4 +1,4 @@
-"""Text of measuring programs: encodings, names of points, and how messages quote it."""
+"""Text of measuring programs: files that hold it, names of points, and how messages quote it."""
 
 from __future__ import annotations
 
@@ -14,18 +14,6 @@ ENDINGS = (*TEXT_ENDINGS, ".uff", ".unv", ".mat", ".h5", ".hdf5", ".npz", ".svd"
 CUT = "It looks cut short: export or copy it again"
 
 _MOST_FILES = 100_000  # a point and axis each of 30 000 points; a home folder has more
-
-
-def decoded(content: bytes) -> str:
-    """Decode UTF-16 with its mark, UTF-8 or Latin-1, with line feeds at the ends of lines."""
-    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        text = content[: len(content) // 2 * 2].decode("utf-16", errors="replace")
-    else:
-        try:
-            text = content.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = content.decode("latin-1")
-    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def shown(text: str, most: int = 60) -> str:

@@ -17,11 +17,12 @@ from kinematics.readers.facts import FileFacts
 from kinematics.readers.recording import Recording, Row, from_parts, from_polar
 from kinematics.readers.settle import DECIBELS
 from kinematics.readers.sheets import Sheet, sheets_of
-from kinematics.readers.text import decoded, plain_name
+from kinematics.readers.text import plain_name
 from kinematics.readers.units import HERTZ, PHASES, motion_unit
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, collect_faults, list_some, raise_all
 from stapeskit.frames import axis_vector
+from stapeskit.tables import decoded
 from stapeskit.warnings import Notice
 
 PARTS = {

@@ -123,7 +123,7 @@ def test_motion_lies_within_its_sd_when_frames_and_fiducials_are_off(tmp_path):
         folder = tmp_path / str(seed)
         truth = simulated(folder, seed=seed, lines=16, fiducial_sd_mm=0.03)
         rng = np.random.default_rng(seed)
-        result = measured(folder, mass_of(truth, (1.5e-5, 4e-3), rng), gain_sd=0, phase_sd=0, delay_sd=0)
+        result = measured(folder, mass_of(truth, (1.5e-5, 4e-3), rng), gain_sd=0)
         error = error_in_sd(result, truth)
         worst.append(np.max(np.abs(error)))
         mean.append(np.mean(error**2))

@@ -152,7 +152,7 @@ def test_errors_of_a_laser_are_estimated_and_the_motion_is_corrected(tmp_path):
     assert gain[own] == pytest.approx(0.015 * (1.0 - 1.0 / count), abs=4.0 * lasers.sd[own])
     assert gain[own] > 2.0 * np.max(np.delete(gain, own))
     assert phase[own] > np.max(np.delete(phase, own))
-    plain = measured(tmp_path, gain_sd=0, phase_sd=0, delay_sd=0)
+    plain = measured(tmp_path, gain_sd=0)
     assert plain.errors is None
     true = np.stack([truth.motion_m[body] for body in result.motion.bodies], axis=1)
     left, before = (np.sum(np.abs((r.motion.q - true)[..., 3:]) ** 2) for r in (result, plain))
