@@ -29,8 +29,6 @@ def points2dof(
 
     Parameters
     ----------
-    ldv : path or sequence of paths
-        Vibrometer files.
     mass : path or result of ct2mass, optional
         Frames and surfaces of the scan.
 

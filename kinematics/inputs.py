@@ -32,11 +32,6 @@ class Found:
 def with_companions(options: MotionOptions, mass: Path | str | None = None) -> Found:
     """Add the files beside the first vibrometer file that were not given; ``none`` turns one off.
 
-    Parameters
-    ----------
-    mass : Path or str, optional
-        As given; ``none`` turns it off, as does a mass in memory.
-
     Raises
     ------
     StapeskitError

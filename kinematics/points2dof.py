@@ -66,12 +66,6 @@ def measure_motion(
 
     Parameters
     ----------
-    mass : MassRecord, optional
-        Frames and surfaces of the scan.
-    progress : callable
-        Gets the stage at work.
-    command : sequence of str, optional
-        For the provenance.
     taken : mapping of str to Path, optional
         By role: files that were found beside the measurement, for the provenance and the page.
 

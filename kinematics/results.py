@@ -41,11 +41,8 @@ class MotionResult(Result):
         With covariance, shared errors and all notices.
     measurement : Measurement
         In the footplate frame, as fitted.
-    placement : Placement
-        The registration, and how its errors move the coordinates.
-    fits : mapping of (run, body) to LineFit
-    diagnoses : mapping of int to Diagnosis
-        By body.
+    fits, diagnoses : mapping
+        By (run, body), and by body.
     checks : tuple of SurfaceCheck
         Measured points against the surfaces of the scan.
     errors : ErrorEstimate or None

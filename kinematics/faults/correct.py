@@ -45,13 +45,8 @@ def corrected(body: BodyChannels, diagnosis: Diagnosis, freq_hz: Array, first: i
 
     Faults of lasers and of all beams are corrected by their estimate, whose covariance remains as a shared
     error. Exchanged names are exchanged back and reversed signs reversed. Other channels and points are left
-    out: an estimate from their own values would add nothing to the motion.
-
-    Parameters
-    ----------
-    freq_hz : ndarray, (L,)
-    first : int
-        Number of its first channel among those of all bodies.
+    out: an estimate from their own values would add nothing to the motion. ``first`` is the number of its
+    first channel among those of all bodies.
     """
     count = len(body.points)
     applied = [one for one in diagnosis.findings if one.treatment == "estimate"]

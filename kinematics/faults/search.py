@@ -78,10 +78,9 @@ def diagnose(
     Parameters
     ----------
     body : BodyChannels
-        Without the channels that hold nothing, which are NaN.
+        Channels that hold nothing are NaN.
     fits : sequence of LineFit, (r,)
         Of its runs, with their noise.
-    freq_hz : ndarray, (L,)
     errors : sequence of ChannelError, optional
         That are expected; those of data sheets and of stated positions unless given.
     line_spread : float

@@ -62,15 +62,7 @@ def channel_verdicts(
     weight: Array,
     unused: Mapping[int, str],
 ) -> list[ChannelVerdict]:
-    """Return the verdict of every channel of a body in one run.
-
-    Parameters
-    ----------
-    residual_rms_m, weight : ndarray, (c,)
-        Of the fit.
-    unused : mapping of int to str
-        ``zeros`` or ``unused`` by channel.
-    """
+    """Return the verdict of every channel of a body in one run; ``unused`` by channel."""
     found: dict[int, tuple[str, str]] = {}
     for finding in reversed(diagnosis.findings):  # the first of two on one channel counts
         found |= dict.fromkeys(finding.channels, (finding.verdict, describe(finding, body)))

@@ -61,14 +61,10 @@ def beam_set(body: str, arms_m: Array, directions: Array, dof: Sequence[str]) ->
 
     Parameters
     ----------
-    body : str
-        For messages.
     arms_m : ndarray, (c, 3)
         Positions relative to the reference point, m.
     directions : ndarray, (c, 3)
         Unit vectors.
-    dof : sequence of str
-        The degrees of freedom to fit.
 
     Raises
     ------
@@ -129,15 +125,8 @@ def observable_dof(
 ) -> tuple[str, ...]:
     """Return degrees of freedom that the beams can observe together, in the order of preference.
 
-    Parameters
-    ----------
-    arms_m, directions : ndarray, (c, 3)
-    fixed : sequence of str
-        Degrees of freedom that are in any case among them.
-    limit : float
-        Least relative strength.
-    spare : int
-        Channels beyond the number of degrees of freedom.
+    Those in ``fixed`` are among them in any case; ``limit`` is the least relative strength, ``spare`` the
+    number of channels beyond that of the degrees of freedom.
     """
     chosen = set(fixed)
     for name in PREFERENCE:

@@ -24,16 +24,7 @@ def neglected_notice(fit: LineFit, body: BodyChannels, where: str = "") -> list[
     """Warn when motion outside the fitted subset enters it.
 
     Motion that the beams do observe is measured, and its effect reported when it is significant; motion that
-    they cannot separate from the fitted one is reported by its geometric leak.
-
-    Parameters
-    ----------
-    fit : LineFit
-        Of a subset of the degrees of freedom.
-    body : BodyChannels
-        Its channels, positions about the reference point.
-    where : str
-        For the message, e.g. `` in run 2``.
+    they cannot separate from the fitted one is reported by its geometric leak. ``where`` goes into the message.
     """
     dof, weight = fit.beams.dof, fit.solution.weight
     if len(dof) == 6 or not np.any(weight > 0.0):

@@ -39,17 +39,8 @@ def parse_reference(text: str, bodies: tuple[str, ...], dof: tuple[str, ...]) ->
 def per_reference(motion: RigidMotion, reference: str) -> RigidMotion:
     """Divide every motion by the reference motion of its run and line.
 
-    Parameters
-    ----------
-    motion : RigidMotion
-        Absolute displacements.
-    reference : str
-        ``BODY:DOF``.
-
-    Returns
-    -------
-    RigidMotion
-        With the joint covariance of all bodies, (run, freq, body*dof, body*dof).
+    ``reference`` is ``BODY:DOF``; the covariance becomes the joint one of all bodies, (run, freq, body*dof,
+    body*dof).
 
     Raises
     ------

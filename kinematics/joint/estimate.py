@@ -247,13 +247,9 @@ def joint(
     start: Array | None = None,
     geometry: Geometry | None = None,
 ) -> Estimate:
-    """Estimate parameters together with the motion by Gauss and Newton.
+    """Estimate parameters together with the motion by Gauss and Newton, from ``start`` (p,) or 0 on.
 
-    Parameters
-    ----------
-    start : ndarray, (p,), optional
-    geometry : Geometry, optional
-        Geometry that the parameters change; by default that of ``packed``.
+    They change ``geometry``, by default that of ``packed``.
 
     Notes
     -----

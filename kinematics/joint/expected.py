@@ -104,12 +104,7 @@ def body_starts(bodies: Sequence[BodyChannels]) -> list[int]:
 
 
 def laser_numbers(directions: Array) -> NDArray[np.intp]:
-    """Number the laser of each channel from 0, in the order of first use.
-
-    Parameters
-    ----------
-    directions : ndarray, (c, 3)
-        Unit vectors, of all bodies together.
+    """Number the laser of each channel from 0, in the order of first use; directions (c, 3) of all bodies.
 
     Notes
     -----
@@ -146,10 +141,7 @@ def stated_errors(
 ) -> list[ChannelError]:
     """Return what is stated of lasers (not of a single one) and positions; to calibrate also axes and beams.
 
-    Parameters
-    ----------
-    laser_sd : mapping of str to float
-        By the names of `LASER_KINDS`: 1, rad and s; those that are exact are left out.
+    ``laser_sd`` is by the names of `LASER_KINDS`: 1, rad and s; those that are exact are left out.
     """
     lasers, _ = lasers_of(bodies)
     errors = []

@@ -25,10 +25,7 @@ _FEWEST = 3  # channels of a laser whose median is that of the laser
 def pooled_levels(energy: Array, freedom: Array) -> Array:
     """Return the noise over the assumed one, (n,), that neighbours show together.
 
-    Parameters
-    ----------
-    energy, freedom : ndarray, (n,)
-        Sums of squares over noise that hold no motion, NaN where missing, and their degrees of freedom.
+    ``energy`` (n,) are sums of squares over noise that hold no motion, NaN where missing.
     """
     good = np.isfinite(energy) & (freedom > 0)
     count, total = len(energy), float(np.sum(freedom[good]))

@@ -132,26 +132,12 @@ def agreement(
     calibrate: bool = False,
     corrected: bool = False,
 ) -> ErrorEstimate | None:
-    """Estimate the stated errors from values without channels at fault.
+    """Estimate the stated errors from values without channels at fault; None where nothing is stated.
 
-    Faults of whole lasers are left in, unless the motion is corrected for them.
+    Faults of whole lasers are left in, unless the motion is corrected for them. Bodies that bend say nothing,
+    except to calibrate: a wrong geometry looks like bending. Positions alone remain as stated.
 
-    Bodies that bend say nothing, except to calibrate: a wrong geometry looks like bending. Positions alone
-    remain as stated.
-
-    Parameters
-    ----------
-    diagnoses : mapping of int to Diagnosis
-        By body.
-    laser_sd, calibrate
-        As in `stated_errors`.
-    corrected : bool
-        Whether the measurement holds what was found corrected.
-
-    Returns
-    -------
-    ErrorEstimate or None
-        None where nothing is stated.
+    ``corrected`` says whether the measurement holds what was found corrected.
     """
     errors = stated_errors(placed.bodies, laser_sd, calibrate)
     alone = all(error.kind == "position" for error in errors)
@@ -174,10 +160,7 @@ def estimate_errors(
 ) -> ErrorEstimate:
     """Estimate errors together with the motion of all bodies, within what is stated of them.
 
-    Parameters
-    ----------
-    packs : mapping of int to Packed
-        Values by body; bodies that are missing say nothing.
+    ``packs`` are values by body; bodies that are missing say nothing.
 
     Notes
     -----

@@ -43,12 +43,7 @@ def axes_changes(half_turns: bool = True) -> dict[str, Array]:
 
 
 def check_positions(placed: Measurement, diagnoses: Mapping[int, Diagnosis]) -> None:
-    """Refuse positions that agree with the beams only in other axes.
-
-    Parameters
-    ----------
-    diagnoses : mapping of int to Diagnosis
-        By body.
+    """Refuse positions that agree with the beams only in other axes; diagnoses by body.
 
     Raises
     ------

@@ -74,12 +74,7 @@ class SurfaceCheck:
 def check_surfaces(
     measurement: Measurement, placement: Placement, mass: MassRecord, surfaces: Mapping[str, Surface]
 ) -> tuple[tuple[SurfaceCheck, ...], list[Notice]]:
-    """Compare measured points of stapes and plate with their surfaces in the scan.
-
-    Parameters
-    ----------
-    measurement : Measurement
-        In its own frame, the source of ``placement``.
+    """Compare points of stapes and plate, measured in the source frame, with their surfaces in the scan.
 
     Raises
     ------
@@ -128,11 +123,9 @@ def check_extent(measurement: Measurement) -> None:
         extent = 1e3 * float(np.max(np.ptp(body.arms_m, axis=0)))
         if extent > 0.0 and not _EXTENT_MM[0] <= extent <= _EXTENT_MM[1]:
             unit = "metres times" if extent < _EXTENT_MM[0] else "micrometres over"
-            thing, step = (
-                f"the extent of the points of body {body.body}",
-                "State their unit with --length-unit",
-            )
-            step = step if assumed else f"Give coordinates in mm: those in {unit} 1000"
+            step = f"Give coordinates in mm: those in {unit} 1000"
+            step = "State their unit with --length-unit" if assumed else step
+            thing = f"the extent of the points of body {body.body}"
             faults.append(Fault(thing, "some mm", f"{extent:.3g} mm", "", step))
     raise_all(faults)
 

@@ -62,14 +62,8 @@ def place(
 ) -> Placement:
     """Find the pose of the measurement's coordinates in the footplate frame.
 
-    Parameters
-    ----------
-    fiducials : Fiducials, optional
-        Without them the coordinates are in ``frame`` already.
-    frame : str
-        ``footplate``, ``plate`` or ``scan``.
-    mass : MassRecord, optional
-        Needed for everything but the footplate frame.
+    Without fiducials the coordinates are in ``frame`` already: ``footplate``, ``plate`` or ``scan``. All but
+    the footplate frame need a mass.
 
     Raises
     ------

@@ -67,9 +67,6 @@ def shared_errors(
     ----------
     placed : Measurement
         In the footplate frame, as fitted.
-    fits : mapping of (run, body) to LineFit
-    estimate : ErrorEstimate, optional
-        Of lasers, positions, and what was calibrated.
     corrections : sequence of (errors, covariance)
         What was corrected by estimates of its own.
 
@@ -142,16 +139,8 @@ def _derivatives(
 def sensitivity(fit: LineFit, rows: NDArray[Any]) -> tuple[ComplexArray, ComplexArray]:
     """Return the derivatives of a fit by parameters that change its rows, and the mean maps.
 
-    Parameters
-    ----------
-    rows : ndarray, (p, c, 6)
-        Changes of the observation rows.
-
-    Returns
-    -------
-    derivatives : ndarray, (p, L, m), complex
-    maps : ndarray, (p, m, m), complex
-        Mean over lines of the map from the motion to its derivative.
+    ``rows`` (p, c, 6) are the changes of the observation rows. Returns the derivatives (p, L, m), complex,
+    and the mean over lines of the maps from the motion to them, (p, m, m).
     """
     beams = fit.beams
     size = len(beams.dof)

@@ -34,14 +34,8 @@ def read_measurement(
 
     Parameters
     ----------
-    paths : sequence of Path
-        Files and folders of any known format.
     points : Path, optional
         CSV with positions, and with the bodies of points whose files do not name them.
-    frame : str
-        The frame in which positions and directions are given.
-    facts : FileFacts, optional
-        What the user states where files are silent.
 
     Raises
     ------
