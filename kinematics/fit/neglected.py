@@ -24,7 +24,7 @@ def neglected_notice(fit: LineFit, body: BodyChannels, where: str = "") -> list[
     """Warn when motion outside the fitted subset enters it.
 
     Motion that the beams do observe is measured, and its effect reported when it is significant; motion that
-    they cannot separate from the fitted one is reported by its geometric leak. ``where`` goes into the message.
+    they cannot separate from the fitted one is reported by its geometric leak.
     """
     dof, weight = fit.beams.dof, fit.solution.weight
     if len(dof) == 6 or not np.any(weight > 0.0):
