@@ -26,8 +26,7 @@ _MARGIN_MM = 1.0  # of bone around the stapes that is shown: as far as a cut is 
 
 Labels = NDArray[np.uint8]
 Index = NDArray[np.int64]
-Box = tuple[slice, ...]
-Stroke = list[tuple[Box, Labels]]  # places, and what was there before
+Stroke = list[tuple[Labels, Labels]]  # places (views of labels), and what was there before
 
 
 def ras_view(array: NDArray[np.generic], scan_from_index: Array) -> NDArray[np.generic]:
@@ -130,9 +129,10 @@ class Drawing:
         drawn &= (blocks != pen).any(axis=(3, 4, 5))
         if not drawn.any():
             return None
-        self._stroke.append((box, blocks.copy()))
+        self._stroke.append((blocks, blocks.copy()))
         blocks[drawn] = pen
-        return self._change(self._flat(box)[drawn])
+        index = np.ravel_multi_index(tuple((np.argwhere(drawn) + low).T), self._picture.shape)
+        return Change(index.astype(np.uint32), np.full(len(index), pen, dtype=np.uint8))
 
     def end_stroke(self) -> bool:
         """End a stroke and return whether it changed something."""
@@ -146,25 +146,24 @@ class Drawing:
         self.end_stroke()
         if not self._strokes:
             return None
-        stroke = self._strokes.pop()
-        for box, before in reversed(stroke):
-            self._blocks[box] = before
-        return self._change(np.unique(np.concatenate([self._flat(box).ravel() for box, _ in stroke])))
+        shown = self.shown
+        for place, before in reversed(self._strokes.pop()):
+            place[...] = before
+        return self._since(shown)
 
-    def reset(self) -> None:
-        """Return to the labels as found; this cannot be undone."""
+    def reset(self) -> Change:
+        """Return to the labels as found: a stroke, which can be undone."""
+        self.end_stroke()
+        shown = self.shown
+        self._strokes.append([(self.labels, self.labels.copy())])
         self.labels[...] = self.found
-        self._strokes.clear()
-        self._stroke, self._last = [], None
+        return self._since(shown)
 
-    def _change(self, flat: NDArray[np.uint32]) -> Change:
-        return Change(flat, self._picture[np.unravel_index(flat, self._picture.shape)])
-
-    def _flat(self, box: Box) -> NDArray[np.uint32]:
-        """Return the flat index of every voxel of a box of the picture."""
-        _, n_a, n_r = self._picture.shape
-        s, a, r = np.ix_(*(np.arange(part.start, part.stop, dtype=np.uint32) for part in box))
-        return (s * np.uint32(n_a) + a) * np.uint32(n_r) + r
+    def _since(self, before: Labels) -> Change:
+        """Return what has changed of the picture since it was as ``before``."""
+        now = self.shown.ravel()
+        index = np.flatnonzero(now != before.ravel())
+        return Change(index.astype(np.uint32), now[index])
 
     def write(self, path: Path) -> None:
         """Write the labels whole, in the axes and on the voxels that they came in."""

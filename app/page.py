@@ -158,10 +158,6 @@ def scan_controls(browser):
 
 @app.cell
 def cut_controls():
-    def back():
-        session.reset()
-        picture.show_all()
-
     def chooses(name):
         return lambda value: setattr(picture, name, value)
 
@@ -172,8 +168,9 @@ def cut_controls():
     ball = mo.ui.switch(True, label="ball (off: this slice)", on_change=chooses("ball"))
     boundary = mo.ui.switch(False, label="boundary only", on_change=picture.show_boundary)
     undo = button("Undo", lambda: picture.show_change(session.undo()))
-    again, reset = step_button("Measure again", "cut"), button("Back to the cut as found", back)
-    cut_step = listed(pen, beside(radius, ball), boundary, beside(undo, reset), again)
+    back = button("Back to the cut as found", lambda: picture.show_change(session.reset()))
+    again = step_button("Measure again", "cut")
+    cut_step = listed(pen, beside(radius, ball), boundary, beside(undo, back), again)
     return (cut_step,)
 
 
@@ -295,15 +292,15 @@ def layout_point():
 @app.cell
 def layout_age():
     get_actions(), get_results()
-    _old = "The study has changed since what stands below was made: do step 4 or 5 again."
-    mo.vstack([mo.Html(page.text(_old))] if session.report_is_old else [])
+    _old = f"Made before the last change: {', '.join(session.outgrown)}. Do that step again."
+    mo.vstack([mo.Html(page.text(_old))] if session.outgrown else [])
     return
 
 
 @app.cell
 def layout_results(other):
     get_results()
-    _parts, _report = [], session.report
+    _parts, _pages = [], session.pages
 
     def compared():
         from pipeline.compare import compare
@@ -316,12 +313,16 @@ def layout_results(other):
         _parts.append(mo.Html(tables.mass_table(session.mass)))
     if other.value:
         attempt(compared)
-    if _report is not None:
-        if _report != session.study.points:
-            _again = f"All results: {_report.parent}. Again: scan2kd {shlex.quote(str(session.study.path))}"
-            _curves = tables.curves(session.responses)
-            _parts += [mo.Html(page.text(_again)), mo.hstack(_curves, wrap=True, justify="start")]
-        _parts.append(mo.iframe(_report.read_text(encoding="utf-8", errors="replace"), height="90vh"))
+    if "K and D" in _pages:
+        _again = f"All results: {session.study.out}. Again: scan2kd {shlex.quote(str(session.study.path))}"
+        _curves = tables.curves(session.responses)
+        _parts += [mo.Html(page.text(_again)), mo.hstack(_curves, wrap=True, justify="start")]
+
+    def shown(path):
+        return lambda: mo.iframe(path.read_text(encoding="utf-8", errors="replace"), height="90vh")
+
+    if _pages:
+        _parts.append(mo.ui.tabs({name: mo.lazy(shown(path)) for name, path in _pages.items()}))
     mo.vstack(_parts)
     return
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from app.drawing import Change, Drawing
 from app.marks import Marks
-from app.steps import LABELS, MASS, Job, mass_folder, read_shown
+from app.steps import LABELS, MASS, Job, laid_with, mass_folder, read_shown
 from app.study_file import OwnFile, StudyFile
 from ct_inertia.options import ASSUMED_DENSITY
 from ct_inertia.scan.scan import Scan
@@ -47,13 +47,9 @@ class Session:
         self._check_idle()
         opened = Session(StudyFile.read(path) if path.suffix == ".toml" else _begun(path))
         lacks = opened.open_scan()
-        opened.take_results()
+        hidden = opened.take_results()
         self.__dict__ = opened.__dict__
-        if lacks:
-            return f"{lacks} There is a field for it."
-        # labels that were measured alone (a mesh has none) and are not there: a step was killed
-        gone = self.scan is not None and "found" in self.mass and self.drawing is None
-        return "What was found cannot be shown: press Measure; what was drawn is kept." if gone else ""
+        return f"{lacks} There is a field for it." if lacks else hidden
 
     def open_scan(self) -> str:
         """Open the scan as the study says; return what it still lacks, empty where nothing."""
@@ -119,29 +115,28 @@ class Session:
         self.job = Job(step, self.study)
 
     def finish(self) -> str:
-        """Take what the step made and return its fault, empty when all went well."""
+        """Take what the step made; return its fault, or what is not shown, empty when all went well."""
         fault = self.job.fault() if self.job is not None else ""
         try:
-            if not fault:
-                self.take_results()
+            return fault or self.take_results()
         except StapeskitError as error:
             return str(error)
-        return fault
 
-    def take_results(self) -> None:
-        """Read what the steps have left."""
+    def take_results(self) -> str:
+        """Read what the steps have left; return what of it cannot be shown, empty where all is."""
         files = {"found": self.study.found / MASS, "cut": self.study.cut / MASS}
         self.mass = {name: read_json(path, *_DAMAGED) for name, path in files.items() if path.is_file()}
-        if "found" in self.mass:
-            self._read_labels()
+        return self._read_labels() if "found" in self.mass else ""
 
-    def _read_labels(self) -> None:
+    def _read_labels(self) -> str:
         shown = read_shown(self.study.found)
         if "labels" not in shown:
-            return
+            # labels that were measured alone (a mesh has none) and are not there: a step was killed
+            gone = self.scan is not None and self.drawing is None
+            return "What was found cannot be shown: press Measure; what was drawn is kept." if gone else ""
         found, place = shown["labels"], shown["scan_from_index"]
         if self.drawing is not None and np.array_equal(self.drawing.found, found):
-            return
+            return ""
         labels, self._hand = found.copy(), None
         path = self.study.file("scan", "labels")
         if self.study.labels_are_ours and path is not None and path.exists():
@@ -152,6 +147,12 @@ class Session:
             if drawn.shape == found.shape and np.allclose(grid.scan_from_index, place, atol=1e-6):
                 labels, self._hand = drawn.astype(np.uint8), hand
         self.drawing = Drawing(labels, place, found)
+        if self.study.labels_are_ours and self._hand is None:
+            return (
+                f"The picture shows the cut as found, while the study uses {path}, which was drawn on other "
+                "voxels: go back to the cut as found, or draw anew. That file is kept."
+            )
+        return ""
 
     def end_stroke(self) -> None:
         """Save the labels after a stroke, and name them in the study."""
@@ -167,11 +168,12 @@ class Session:
             self._save_labels(self.drawing)
         return change
 
-    def reset(self) -> None:
-        """Return to the cut as found."""
-        if self.drawing is not None:
-            self.drawing.reset()
-            self._save_labels(self.drawing)
+    def reset(self) -> Change | None:
+        """Return to the cut as found; what was drawn stays in its file: the next stroke begins another."""
+        self._hand = None
+        if self.study.labels_are_ours:
+            self.study.put_labels(None)
+        return None if self.drawing is None else self.drawing.reset()
 
     def _save_labels(self, drawing: Drawing) -> None:
         """Write the labels that were drawn; labels as found are not given back, so that nothing changes."""
@@ -199,17 +201,41 @@ class Session:
         return drawn["responses"] if "of" in drawn and drawn["of"] == now.get("fit") else []
 
     @property
-    def report(self) -> Path | None:
-        """The page that a step has written last: of the measurement, or of the whole study."""
-        pages = [one for one in (self.study.points, self.study.out / "report.html") if one.is_file()]
-        return max(pages, key=lambda one: one.stat().st_mtime_ns, default=None)
+    def pages(self) -> dict[str, Path]:
+        """The pages of the whole study and of the measurement by name, the one written last first."""
+        pages = {"K and D": self.study.out / "report.html", "measurement": self.study.points}
+        there = {name: page for name, page in pages.items() if page.is_file()}
+        return dict(sorted(there.items(), key=lambda one: -_time(one[1])))
 
     @property
-    def report_is_old(self) -> bool:
-        """Whether the study, or what was drawn or marked, has changed since that page was written."""
-        own = [self.study.path, *self.study.kept.glob("*.csv"), *self.study.kept.glob("labels*")]
-        report, times = self.report, [one.stat().st_mtime_ns for one in own if one.is_file()]
-        return report is not None and report.stat().st_mtime_ns < max(times, default=0)
+    def outgrown(self) -> list[str]:
+        """What was made before the study, or what was drawn or marked, was changed: with its step."""
+        study, pages, folder = self.study, self.pages, mass_folder(self.study)
+        labels = [study.file("scan", "labels")] if study.labels_are_ours else []
+        changed = max((_time(one) for one in (*study.kept.glob("*.csv"), *labels) if one), default=0)
+        mass = folder is not None and (_time(folder / MASS) < changed or self._other_scan(folder.name))
+        laid_anew = self.content("measured").get("laid_with") != laid_with(study)
+        fitted = _time(pages["K and D"]) if "K and D" in pages else changed + _time(study.path)
+        old = {
+            "mass (1 or 2)": mass,
+            "measurement (4)": "measurement" in pages and (mass or laid_anew),
+            "K and D (5)": fitted < max(changed, _time(study.path)),
+        }
+        return [name for name, is_old in old.items() if is_old]
+
+    def _other_scan(self, name: str) -> bool:
+        """Return whether ``found`` or ``cut`` was measured with other options than the study has."""
+        try:
+            given = self.study.mass_options(hand_work=name == "cut").given()
+        except StapeskitError:
+            return True
+        used = self.mass.get(name, {}).get("provenance", {}).get("parameters")
+        # files by their names: the study may have been moved
+        now, then = (
+            {key: Path(value).name if isinstance(value, str) else value for key, value in one.items()}
+            for one in (given, used or {})
+        )
+        return used is not None and now != then
 
     def files(self) -> list[str]:
         """Return the names of the files that can be a measurement, its points or its fiducials."""
@@ -222,6 +248,11 @@ class Session:
         """Return the other folders next to the study that hold K and D."""
         folders = sorted(path.parent for path in self.study.path.parent.glob("*/kd.json"))
         return [folder.name for folder in folders if folder != self.study.out]
+
+
+def _time(path: Path) -> int:
+    """Return when a file was written, ns; 0 where there is none."""
+    return path.stat().st_mtime_ns if path.is_file() else 0
 
 
 def _content(path: Path) -> dict[str, Any]:

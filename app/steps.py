@@ -115,7 +115,14 @@ def points(study: StudyFile) -> None:
     result = replace(result, motion=replace(result.motion, notices=in_keys(result.notices, type(options))))
     _warn(result.notices)
     result.write(study.points.parent)
-    OwnFile(study.kept / "measured.json").write(json.dumps(points_content(result)))
+    content = {"laid_with": laid_with(study), **points_content(result)}
+    OwnFile(study.kept / "measured.json").write(json.dumps(content))
+
+
+def laid_with(study: StudyFile) -> list[Any]:
+    """Return what the measurement is laid into the scan with: its table of the study, and the mass."""
+    folder = mass_folder(study)
+    return [study.tables.get("ldv", {}), "" if folder is None else sha256(folder / MASS)]
 
 
 def points_content(result: MotionResult) -> dict[str, Any]:

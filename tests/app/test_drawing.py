@@ -91,6 +91,20 @@ def test_undo_restores_every_voxel_after_any_number_of_strokes():
     assert drawing.undo() is None
 
 
+def test_the_way_back_to_the_cut_as_found_can_be_undone():
+    made = labels()
+    made[0, 0, 0] = 3  # outside the picture: of an earlier session
+    drawing = Drawing(made, grid(), labels())
+    drawing.paint(np.array(drawing.shown.shape[::-1]) // 2, 0, 4)
+    drawn = drawing.labels.copy()
+    there, change = drawing.shown.ravel(), drawing.reset()
+    there[change.index] = change.values
+    assert drawing.as_found
+    assert np.array_equal(there, drawing.shown.ravel())
+    drawing.undo()
+    assert np.array_equal(drawing.labels, drawn)
+
+
 def test_changes_sent_to_the_browser_give_the_picture_that_python_holds():
     drawing, rng = drawing_of(labels(), grid(TURNS["cyclic"])), np.random.default_rng(2)
     there = drawing.shown.ravel().copy()

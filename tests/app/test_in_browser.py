@@ -139,7 +139,7 @@ def _fit(page, folder):
     page.shot("8_fit")
     assert page.tab.frames[-1].title() == "scan"  # the report, in the page
     page.write("leave out, Hz", "900-1000")
-    page.wait("The study has changed since")
+    page.wait("Made before the last change")
     page.write("leave out, Hz", "")
     assert "exclude_hz" not in (folder / "scan.toml").read_text()
     done = command_line("pipeline", "scan.toml", "--out", "again", folder=folder)

@@ -119,9 +119,29 @@ def test_a_closed_tab_loses_no_stroke_and_a_new_study_spares_its_labels(session)
     again = opened(session.study.path)
     assert np.array_equal(again.drawing.labels, session.drawing.labels)
     assert not again.drawing.as_found
+    drawn, kept = again.drawing.labels.copy(), again.study.file("scan", "labels")
     again.reset()
     assert again.drawing.as_found
     assert "labels" not in again.study.tables["scan"]
+    assert np.array_equal(open_labels(kept)[0], drawn)  # one wrong click costs nothing
+    again.undo()
+    assert np.array_equal(again.drawing.labels, drawn)
+    assert np.array_equal(open_labels(again.study.file("scan", "labels"))[0], drawn)
+
+
+def test_labels_on_other_voxels_than_the_picture_are_named(session):
+    behead(session, 3)
+    hand = session.study.file("scan", "labels")
+    kept = hand.read_bytes()
+    shown = session.study.found / "shown.npz"
+    with np.load(shown) as content:
+        changed = {**content, "scan_from_index": content["scan_from_index"] + 0.001 * np.eye(4)}
+    np.savez(shown, **changed)
+    again = Session(StudyFile(session.study.path.with_name(".none.toml")))
+    assert str(hand) in again.open(session.study.path)
+    behead(again, 2)
+    assert again.study.file("scan", "labels") != hand
+    assert hand.read_bytes() == kept
 
 
 def test_a_second_tab_cannot_write_over_the_strokes_of_the_first(session):
@@ -151,10 +171,11 @@ def test_scan2kd_repeats_the_numbers_of_a_corrected_study_to_the_last_digit(sess
     session.end_stroke()
     run(session, "cut")
     run(session, "points")
-    assert session.report == session.study.points
+    assert list(session.pages) == ["measurement"]
+    assert session.outgrown == []
     assert {verdict for _, verdict, _ in session.content("measured")["points"]} == {"ok"}
     run(session, "fit")
-    assert session.report == session.study.out / "report.html"
+    assert list(session.pages) == ["K and D", "measurement"]
     again = scan2kd(session.study.path, out=session.study.path.parent / "again")
     folder = session.study.path.parent
     ours, theirs = (json.loads((folder / name / "kd.json").read_text()) for name in ("ear1_out", "again"))
@@ -167,13 +188,19 @@ def test_scan2kd_repeats_the_numbers_of_a_corrected_study_to_the_last_digit(sess
     assert session.choices("study", "confirmed") == (reasons, [])
     assert len(session.responses) == 2 * 3 * 24
     left_out = [name for name in session.choices("ldv", "leave_out")[0] if name.count(":") == 2][:1]
-    assert not session.report_is_old
+    assert session.outgrown == []
     session.study.put("ldv", leave_out=left_out)
-    assert session.report_is_old
+    assert session.outgrown == ["measurement (4)", "K and D (5)"]
     scan2kd(session.study.path, out=session.study.out)
     assert session.responses == []  # those of the fit before
     run(session, "points")
     assert session.choices("ldv", "leave_out")[1] == left_out
+    assert list(session.pages) == ["measurement", "K and D"]  # both stay in the page
+    assert session.outgrown == []
+    run(session, "cut")
+    assert session.outgrown == ["measurement (4)"]  # points lie where an earlier mass has put them
+    session.study.put("scan", density_kg_m3="1500+-15")
+    assert "mass (1 or 2)" in session.outgrown
 
 
 def test_points_lie_in_the_scan_where_they_were_measured(session):
