@@ -214,7 +214,7 @@ def _cohort(ears: Sequence[Ear], failed: Mapping[str, str], choices: Mapping[str
     try:
         return cohort_of(ears, failed, **choices)
     except StapeskitError as error:
-        notice = Notice("cohort_mixed", f"No laws: {' '.join(str(error).split())}")
+        notice = Notice("laws_left_open", f"No laws: {' '.join(str(error).split())}")
         return Cohort(tuple(ears), tuple(failed.items()), notices=(notice,))
 
 

@@ -75,10 +75,11 @@ def work(words: list[str]) -> Outcome | None:
 
 def _sample(words: list[str]) -> None:
     from pipeline.command_options import SampleOptions
-    from pipeline.sample import copy_sample
     from stapeskit.command_line import parse
 
     (chosen,) = parse("stapeskit sample", "Copy a whole simulated ear.", [SampleOptions], words)
+    from pipeline.sample import copy_sample
+
     files = copy_sample(chosen.folder, force=chosen.force)
     sys.stdout.write(
         f"{len(files)} files of a simulated ear written into {chosen.folder}. Run it with:\n"
@@ -88,11 +89,12 @@ def _sample(words: list[str]) -> None:
 
 def _new(words: list[str]) -> None:
     from pipeline.command_options import NewOptions
-    from pipeline.new_study import needs, new_study
     from stapeskit.command import printable
     from stapeskit.command_line import parse
 
     (chosen,) = parse("stapeskit new", "Write a study.toml for the files of a folder.", [NewOptions], words)
+    from pipeline.new_study import needs, new_study
+
     ask = None if chosen.yes or not sys.stdin.isatty() else lambda text: input(printable(text))
     path = new_study(chosen.folder, ask, force=chosen.force)
     missing = needs(path)
@@ -118,12 +120,13 @@ def _app(words: list[str]) -> None:
 def _compare(words: list[str]) -> Outcome:
     """Compare two results, or predict the effect of changes on one or both."""
     from pipeline.command_options import CompareOptions
-    from pipeline.compare import compare, read_folders, write_comparison
-    from pipeline.what_if import SENTENCE, effect_rows, read_change
     from stapeskit.command_line import parse
 
     text = "Two results side by side, or what a change would do to one or both."
     (chosen,) = parse("stapeskit compare", text, [CompareOptions], words)
+    from pipeline.compare import compare, read_folders, write_comparison
+    from pipeline.what_if import SENTENCE, effect_rows, read_change
+
     changes, folders = [read_change(change) for change in chosen.what_if], chosen.folders
     inputs = [folder / name for folder in folders for name in ("mass.json", "kd.json", "dof.h5")]
     rows: list[tuple[str, str]] = []

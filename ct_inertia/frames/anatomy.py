@@ -224,5 +224,5 @@ def anterior_words(frame: RigidTransform, grid: Array | None, anterior_from: str
     words = f"along {scan} in scan axes (x, y, z)"
     if grid is not None:
         words += f": {in_array_words(x_axis, grid)} of the voxel array"
-    source = "assumed, nothing says so" if anterior_from == NO_HINT else f"by {anterior_from}"
+    source = "assumed, nothing says so" if anterior_from == NO_HINT else f"by {anterior_from.lstrip('-')}"
     return f"{words}; {source}", option_for(-x_axis)

@@ -65,9 +65,8 @@ def add_sections(shown: page.Page, content: Content, pictured: Pictured) -> None
     if cut is not None:
         caption = (
             "Grey values in planes of the footplate frame, with the outline of what was measured as stapes, "
-            "and of what was taken for other bone and the plate. Where the outline is wrong: --seed, "
-            "--threshold and --box correct it, and --labels takes labels.seg.nrrd corrected in 3D Slicer or "
-            "ITK-SNAP."
+            "and of what was taken for other bone and the plate. Where the outline is wrong: seed, threshold "
+            "and box correct it, and labels takes labels.seg.nrrd corrected in 3D Slicer or ITK-SNAP."
         )
         alt = "Three slices with the outlines of stapes, plate and other bone."
         blocks.append(page.figure(cut, caption, alt, file="cut"))
@@ -97,7 +96,7 @@ def summary_tables(content: Content) -> list[Markup]:
     sd = None if _missing(content) else total["mass_kg"]
     density = f"{content['density_kg_m3']:.0f} kg/m³"
     if "density_assumed" in {warning["code"] for warning in content["warnings"]}:
-        density += " ± 200, ASSUMED: state your own with --density, --mass-mg or --calibration"
+        density += " ± 200, ASSUMED: state your own density, mass_mg or calibration"
     spread = zip(values[1:4] / values[0], total["center_of_mass_m"], strict=True)
     centre = ", ".join(plus_minus(LENGTH.of(float(value)), LENGTH.of(float(own))) for value, own in spread)
     mass = [
@@ -182,8 +181,16 @@ def orientation_blocks(content: Content, pictured: Pictured) -> list[Markup]:
     caption = "The medial side of the stapes, seen along the piston direction y, in axes of the footplate."
     alt = "The medial side of the stapes, with its directions named."
     drawn = page.figure(medial_view(content, pictured), caption, alt, file="medial")
-    words = f"Anterior was taken to be {frames['anterior_in_words']}. For the other choice, add:"
-    return [drawn, Markup("").join([page.text(words), page.code(frames["other_choice"])])]
+    words = f"Anterior was taken to be {frames['anterior_in_words']}. For the other choice, add"
+    flag = frames["other_choice"]
+    key = f"anterior = [{flag.partition('=')[2].replace(',', ', ')}]"
+    ways = [
+        page.text(f"{words} to ct2mass:"),
+        page.code(flag),
+        page.text("or to [scan] of a study:"),
+        page.code(key),
+    ]
+    return [drawn, Markup("").join(ways)]
 
 
 def _frames_table(content: Content) -> Markup:

@@ -17,7 +17,9 @@ from pipeline.cohort.law import PowerLaw
 from pipeline.cohort.laws import LEAST_EARS, components_of, fit_laws, unlike_others, unresolved
 from pipeline.cohort.logs import LogTable, full_name, log_table
 from pipeline.cohort.predict import Prediction, Predictor
+from pipeline.command_options import CohortOptions
 from stapeskit.faults import StapeskitError, raise_all
+from stapeskit.options import with_options
 from stapeskit.records.mass_file import read_mass
 from stapeskit.results import Result
 from stapeskit.warnings import Notice, once
@@ -175,42 +177,46 @@ class Cohort(Result):
         }
 
 
+@with_options(CohortOptions)
 def cohort(
-    studies: Sequence[str | os.PathLike[str] | StudyResult],
+    studies: Sequence[str | os.PathLike[str] | StudyResult] | str | os.PathLike[str] | StudyResult,
     *,
     about: Mapping[str, Mapping[str, Any]] | None = None,
-    **choices: Any,
+    **options: Any,
 ) -> Cohort:
     """Fit laws over finished studies: how K and D follow the inertia and the size of the stapes.
 
     Parameters
     ----------
     studies : sequence of path or StudyResult
-        Folders of finished studies (mass.json, kd.json), or results of `scan2kd`.
+        Folders of finished studies (mass.json, kd.json), or results of `scan2kd`; one alone serves, too.
     about : mapping, optional
         What is known of ears, by the names of their folders: subject, side, age, sex, group, scanner, cochlea
         ... A result of `scan2kd` brings what its study states.
-    **choices
-        ``use_all``, ``laws`` as in `cohort_of`.
 
     Raises
     ------
     StapeskitError
-        A folder holds no finished study, or what `cohort_of` refuses.
+        A folder holds no finished study, an option is unknown, or what `cohort_of` refuses.
 
     Examples
     --------
     >>> ears = cohort(["ear1_out", "ear2_out", "ear3_out", "ear4_out", "ear5_out"])  # doctest: +SKIP
     >>> ears.law("K11", "mass").interval  # doctest: +SKIP
     """
-    sources = []
-    for study in studies:
+    from pipeline.run import StudyResult
+
+    chosen, sources = CohortOptions.of(**options), []
+    for study in [studies] if isinstance(studies, str | os.PathLike | StudyResult) else studies:
         if isinstance(study, str | os.PathLike):
             folder, name, known = Path(study), Path(study).name, dict[str, Any]()
-        else:
+        elif isinstance(study, StudyResult):
             folder, name, known = study.out, study.name, study.about
+        else:
+            expected = "the folder of a finished study, or a result of scan2kd"
+            raise StapeskitError.of("an ear of a cohort", expected, type(study).__name__)
         sources.append((folder, name, {**known, **(about or {}).get(folder.name, {})}))
-    return cohort_of(read_ears(sources), **choices)
+    return cohort_of(read_ears(sources), **vars(chosen))
 
 
 def cohort_of(
@@ -247,7 +253,7 @@ def cohort_of(
     used = [ear for ear in ears if ear.folder not in reasons]
     if len(used) < LEAST_EARS:
         text = f"Laws need at least {LEAST_EARS} ears; there are {len(used)}. The ears are only listed."
-        notices.append(Notice("cohort_too_small", text))
+        notices.append(Notice("laws_left_open", text))
         return Cohort(tuple(ears), excluded, notices=tuple(notices))
     table = log_table(used)
     fitted = fit_laws(table, laws)

@@ -114,7 +114,7 @@ def unresolved(laws: Sequence[PowerLaw]) -> list[Notice]:
         f"The exponents of {', '.join(names)} are unbounded: the spread of the predictor over these ears is "
         "not surely larger than its error."
     )
-    return [Notice("cohort_too_small", text)] if names else []
+    return [Notice("laws_left_open", text)] if names else []
 
 
 def unlike_others(laws: Sequence[PowerLaw], table: LogTable, names: Sequence[str]) -> list[Notice]:

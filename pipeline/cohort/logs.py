@@ -102,7 +102,7 @@ def log_table(ears: Sequence[Ear]) -> LogTable:
         notices.append(Notice("file_read", text))
     if letters == "K":
         text = "D has no common unit: its power of time differs between damping laws. No law of D is fitted."
-        notices.append(Notice("cohort_mixed", text))
+        notices.append(Notice("laws_left_open", text))
     values = np.array([row.values for row in rows])
     keep = np.flatnonzero(np.any(np.isfinite(values), axis=0))
     names = [(*PREDICTORS, *responses)[place] for place in keep]
