@@ -65,29 +65,26 @@ def crossings(vertices: Array, faces: NDArray[np.int64], shape: tuple[int, int],
     Its vertices (n, 3) are in voxels, the centre of voxel 0 at 0; what lies outside the grid is cut off.
     """
     nx, ny = shape
-    corners = np.array(vertices, dtype=float)
-    corners[:, :2] = (corners[:, :2] + 0.5) * samples - 0.5 - _OFFSET * np.array([1.0, 2.0])
-    corners = corners[faces]  # sub-column k along x or y is at k
-    area = _twice_area(corners)
-    corners, sign = corners[area != 0.0], np.where(area[area != 0.0] > 0.0, -1.0, 1.0) / samples**2
-    most = np.array([nx, ny]) * samples
-    first = np.clip(np.ceil(corners.min(axis=1)[:, :2]), 0, most).astype(np.int64)
-    last = np.clip(np.floor(corners.max(axis=1)[:, :2]), -1, most - 1).astype(np.int64)
-    size, planes = np.maximum(last - first + 1, 0), _planes(corners)
-    stop = np.cumsum(size.prod(axis=1))  # of all sub-columns below the boxes around triangles
-    start = stop - size.prod(axis=1)
+    corners = np.asarray(vertices, dtype=float)[faces]
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    corners = corners[(b - a)[:, 0] * (c - a)[:, 1] != (c - a)[:, 0] * (b - a)[:, 1]]
+    first, last = _sample_range(corners.min(axis=1), corners.max(axis=1), np.array([nx, ny]), samples)
+    wide = np.maximum(last - first + 1, 0)
+    owner, row = _numbered(np.where(wide[:, 0] > 0, wide[:, 1], 0))
+    row += first[owner, 1]
+    y = (row + 0.5) / samples - 0.5 + 2.0 * _OFFSET
+    start, stop = _row_spans(corners, owner, y, samples)
+    start, stop = np.maximum(start, first[owner, 0]), np.minimum(stop, last[owner, 0])
+    count = np.maximum(stop - start + 1, 0)
     parts = [(np.zeros(0, dtype=np.int32), np.zeros(0), np.zeros(0))]
-    for begin in range(0, int(stop[-1]) if len(stop) else 0, _TRIED_AT_ONCE):
-        tried = np.arange(begin, min(begin + _TRIED_AT_ONCE, int(stop[-1])))
-        own = np.searchsorted(stop, tried, side="right")
-        y, x = np.divmod(tried - start[own], size[own, 0])
-        x, y = x + first[own, 0], y + first[own, 1]
-        v, w = (at[own] + by_x[own] * x + by_y[own] * y for at, by_x, by_y in planes[:2])
-        inside = np.flatnonzero((v >= 0.0) & (w >= 0.0) & (v + w < 1.0))
-        own, x, y = own[inside], x[inside], y[inside]
-        at, by_x, by_y = (plane[own] for plane in planes[2])
-        column = (y // samples * nx + x // samples).astype(np.int32)
-        parts.append((column, at + by_x * x + by_y * y, sign[own]))
+    for low, high in zip(*_runs(np.cumsum(count) // _TRIED_AT_ONCE), strict=True):
+        own = slice(low, high)
+        line, along = _numbered(count[own])
+        along += start[own][line]
+        x = (along + 0.5) / samples - 0.5 + _OFFSET
+        inside, height, sign = _crossed(corners, owner[own], y[own], line, x)
+        column = (row[own] // samples * nx)[line[inside]] + along[inside] // samples
+        parts.append((column.astype(np.int32), height, sign / samples**2))
     column, height, weight = (np.concatenate(part) for part in zip(*parts, strict=True))
     ends = np.iinfo(np.int16)
     layer = np.clip(np.floor(height + 0.5), ends.min, ends.max).astype(np.int16)
@@ -95,26 +92,65 @@ def crossings(vertices: Array, faces: NDArray[np.int64], shape: tuple[int, int],
     return Crossings(layer[order], column[order], height[order], weight[order], shape)
 
 
-def _twice_area(corners: Array) -> Array:
-    """Return twice the signed area (n,) of triangles (n, 3, 3) seen along z."""
-    (ax, ay, _), (bx, by, _), (cx, cy, _) = corners.transpose(1, 2, 0)
-    return np.asarray((bx - ax) * (cy - ay) - (cx - ax) * (by - ay))
+def _runs(values: NDArray[np.int64]) -> tuple[list[int], list[int]]:
+    """Return where runs of equal values start and stop."""
+    edges = np.flatnonzero(np.diff(values)) + 1
+    bounds = [0, *edges.tolist(), len(values)]
+    return bounds[:-1], bounds[1:]
 
 
-def _planes(corners: Array) -> Array:
-    """Return v, w and the height over x and y: value at 0 and derivatives, (3, 3, n).
+def _numbered(count: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return for each member the number of its owner (n,) and its own number within that owner (n,)."""
+    owner = np.repeat(np.arange(len(count)), count)
+    return owner, np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
 
-    A place is within a triangle a, b, c, at a + v (b - a) + w (c - a), where v, w and 1 - v - w are positive.
+
+def _crossed(
+    corners: Array, owner: NDArray[np.int64], y: Array, line: NDArray[np.int64], x: Array
+) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Find which sub-columns cross their triangles, at which height, and if they enter (1) or leave (-1).
+
+    The sub-columns (n,) at ``x`` lie in rows ``line`` at heights ``y`` (r,), of triangles ``owner`` (r,).
     """
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = corners.transpose(1, 2, 0)
-    area = _twice_area(corners)
-    v = np.array([np.zeros_like(area), cy - ay, ax - cx]) / area
-    w = np.array([np.zeros_like(area), ay - by, bx - ax]) / area
-    height = v * (bz - az) + w * (cz - az)
-    planes = np.array([v, w, height])
-    planes[:, 0] = -planes[:, 1] * ax - planes[:, 2] * ay
-    planes[2, 0] += az
-    return planes
+    twice_area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+    triangle, below = owner[line], y - ay[owner]
+    left, area = x - ax[triangle], twice_area[triangle]
+    v = (left * (cy - ay)[triangle] - ((cx - ax)[owner] * below)[line]) / area
+    w = (((bx - ax)[owner] * below)[line] - left * (by - ay)[triangle]) / area
+    inside = (v >= 0.0) & (w >= 0.0) & (v + w < 1.0)
+    triangle = triangle[inside]
+    height = az[triangle] + v[inside] * (bz - az)[triangle] + w[inside] * (cz - az)[triangle]
+    return inside, height, np.where(area[inside] > 0.0, -1.0, 1.0)
+
+
+def _row_spans(
+    corners: Array, owner: NDArray[np.int64], y: Array, samples: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return first and last sub-column (n,) along x that may cross a triangle at a height y, one spared."""
+    low, high = np.full(len(y), np.inf), np.full(len(y), -np.inf)
+    for one, two in ((0, 1), (1, 2), (2, 0)):
+        p, step = corners[:, one], corners[:, two] - corners[:, one]
+        rise = step[:, 1]
+        part = (y - p[owner, 1]) / np.where(rise == 0.0, np.inf, rise)[owner]
+        x = p[owner, 0] + part * step[owner, 0]
+        crossed = (part >= -1e-9) & (part <= 1.0 + 1e-9) & (rise != 0.0)[owner]
+        np.minimum(low, x, out=low, where=crossed)
+        np.maximum(high, x, out=high, where=crossed)
+    some = low <= high
+    first = np.floor((np.where(some, low, 0.0) + 0.5) * samples - 0.5) - 1.0
+    last = np.ceil((np.where(some, high, 0.0) + 0.5) * samples - 0.5) + 1.0
+    return first.astype(np.int64), np.where(some, last, first - 1.0).astype(np.int64)
+
+
+def _sample_range(
+    low: Array, high: Array, count: NDArray[np.int64], samples: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the first and the last sub-column in [low, high], (k, 3), along x and y, within a grid."""
+    first = np.ceil((low[:, :2] + 0.5) * samples - 0.5)
+    last = np.floor((high[:, :2] + 0.5) * samples - 0.5)
+    ends = count * samples
+    return np.clip(first, 0, ends).astype(np.int64), np.clip(last, -1, ends - 1).astype(np.int64)
 
 
 def coverage_of(solid: Solid, shape: tuple[int, int, int], voxel_mm: ArrayLike, samples: int = 8) -> Array:
