@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.methods import methods
 from stapeskit.report import page
 from stapeskit.report.quantities import MASS
 
@@ -52,7 +51,7 @@ def study_page(result: StudyResult) -> page.Page:
     add_fit(fit, made)
     made.section("Warnings", page.notices(result.notices, study.about.confirmed))
     inputs = (page.inputs(each) for each in _provenances(result))
-    made.appendix_section("Methods and inputs", page.text(methods(result)), *inputs)
+    made.appendix_section("Inputs", *inputs)
     return made
 
 

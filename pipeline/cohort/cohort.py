@@ -159,18 +159,13 @@ class Cohort(Result):
     def as_json(self, provenance: Mapping[str, Any]) -> dict[str, Any]:
         """Return the content of cohort.json."""
         count = self.components
-        parameters = None if count is None else {
-            "estimate": count.estimate,
-            "interval_95": list(count.interval),
-            "sd_log": count.sd.tolist(),
-            "loadings_log": count.loadings.tolist(),
-        }  # fmt: skip
+        known = None if count is None else {"estimate": count.estimate, "interval_95": list(count.interval)}
         return {
             "schema": SCHEMA,
             "ears": [ear.name for ear in self.ears],
             "excluded": [{"ear": name, "reason": reason} for name, reason in self.excluded],
             "laws": [law.as_json() for law in self.laws],
-            "independent_parameters": parameters,
+            "independent_parameters": known,
             "shared_errors": [] if self.table is None else list(self.table.sources),
             "warnings": [notice.as_json() for notice in self.notices],
             "provenance": dict(provenance),

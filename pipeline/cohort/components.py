@@ -19,10 +19,6 @@ class Components:
 
     estimate: int  # how many have an intrinsic standard deviation of ln above the smallest that counts
     interval: tuple[int, int]  # 95 %; its upper end is the number of quantities where the ears are too few
-    sd: Array  # (p,): of the components of the true logarithms over ears, the largest first
-    # (p, p): row k is what one sd of component k changes in the logarithm of each quantity; its largest
-    # entry is positive
-    loadings: Array
 
 
 def independent_parameters(
@@ -69,20 +65,7 @@ def independent_parameters(
         if observed[k] < np.quantile(simulated, 1.0 - level):
             upper = k
             break
-    between = _intrinsic(values, own)
-    sd, axes = np.linalg.eigh(between)
-    order = np.argsort(sd)[::-1]
-    sizes = np.sqrt(np.maximum(sd[order], 0.0))
-    loadings = (axes[:, order] * sizes).T
-    signs = np.sign(loadings[np.arange(p), np.argmax(np.abs(loadings), axis=1)])
-    return Components(lower, (lower, upper), sizes, loadings * np.where(signs == 0.0, 1.0, signs)[:, None])
-
-
-def _intrinsic(values: Array, own: Array) -> Array:
-    """Return the covariance between ears without measurement errors, negative parts removed."""
-    raw = np.cov(values.T).reshape(values.shape[1], -1) - own.mean(axis=0)
-    roots, axes = np.linalg.eigh(raw)
-    return np.asarray(axes * np.maximum(roots, 0.0) @ axes.T)
+    return Components(lower, (lower, upper))
 
 
 def _eigen(whitened: Array) -> tuple[Array, Array]:

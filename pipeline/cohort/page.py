@@ -81,7 +81,12 @@ def cohort_page(cohort: Cohort, failed: Mapping[str, str]) -> page.Page:
         )
     report.section("Ears", *_ear_blocks(cohort, failed))
     if cohort.components is not None:
-        report.section("Independent parameters", *_component_blocks(cohort))
+        low, high = cohort.components.interval
+        words = (
+            "Independent ways in which K and D vary between the ears by more than 5 % beyond their errors: "
+            f"{cohort.components.estimate} (95 %: {low} to {high})."
+        )
+        report.section("Independent parameters", page.text(words))
     if cohort.laws:
         report.appendix_section("All laws", *_exploratory_blocks(cohort))
     return report
@@ -190,21 +195,3 @@ def _ears_figure(names: Sequence[str], found: Sequence[Quantity]) -> Figure:
         for panel in grid.ravel()[len(rows) :]:
             panel.set_axis_off()
     return drawing
-
-
-def _component_blocks(cohort: Cohort) -> list[Markup]:
-    """Return what is known of the number of independent parameters."""
-    components, table = cohort.components, cohort.table
-    if components is None or table is None:
-        return []
-    low, high = components.interval
-    words = (
-        "Independent ways in which the ears vary by more than 5 % beyond their errors: "
-        f"{components.estimate} (95 %: {low} to {high}). Rows: what one standard deviation of each changes "
-        "in the logarithms. Quantities that change together could be one parameter of a model."
-    )
-    rows = [
-        (str(k + 1), f"{size:.3f}", *(f"{value:+.3f}" for value in components.loadings[k]))
-        for k, size in enumerate(components.sd[: max(high, 1)])
-    ]
-    return [page.text(words), page.table(("", "sd (ln)", *table.entries), rows)]
