@@ -13,6 +13,7 @@ from app.marks import Marks
 from app.steps import LABELS, MASS, Job, laid_with, mass_folder, read_shown
 from app.study_file import OwnFile, StudyFile
 from ct_inertia.options import ASSUMED_DENSITY
+from ct_inertia.scan.formats import stem_of
 from ct_inertia.scan.scan import Scan
 from kinematics.readers.text import ENDINGS
 from pipeline.new_study import lacking, look
@@ -49,6 +50,9 @@ class Session:
         lacks = opened.open_scan()
         hidden = opened.take_results()
         self.__dict__ = opened.__dict__
+        stem, name = stem_of(path.name), opened.study.path.name
+        if path.suffix != ".toml" and name != f"{stem}.toml":
+            hidden = f"This begins {name}: choose {stem}.toml instead to go on with what was done."
         return f"{lacks} There is a field for it." if lacks else hidden
 
     def open_scan(self) -> str:
@@ -265,8 +269,6 @@ def _content(path: Path) -> dict[str, Any]:
 
 def _begun(scan: Path) -> StudyFile:
     """Return a new study of a scan, named after it, with the only measurement beside it."""
-    from ct_inertia.scan.formats import stem_of
-
     scan = Path(scan).absolute()
     study = StudyFile.new(scan.parent, _unused(scan.parent, stem_of(scan.name), "toml").stem)
     study.text = study.changed("scan", file=scan)

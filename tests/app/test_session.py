@@ -316,6 +316,15 @@ def test_a_surface_mesh_is_measured_without_labels(measured, tmp_path):
     assert set(session.surfaces()) == {"stapes"}
 
 
+def test_a_scan_that_was_begun_before_names_the_study_to_go_on_with(session):
+    study = session.study.path
+    shutil.copy(study, study.with_name("scan.toml"))
+    again = Session(StudyFile(study.with_name(".none.toml")))
+    assert "scan.toml" in again.open(study.with_name("scan.nrrd"))
+    assert again.study.path.name == "scan_2.toml"
+    assert again.open(study.with_name("scan.toml")) == ""
+
+
 def test_labels_that_somebody_else_made_are_neither_written_over_nor_forgotten(session):
     given = session.study.path.parent / "ear1_labels.seg.nrrd"
     shutil.copy(session.study.found / "labels.seg.nrrd", given)
