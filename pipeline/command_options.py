@@ -29,6 +29,13 @@ Changes = Annotated[
 class RunOptions(Options):
     """What is run, and where results go."""
 
+    rules: ClassVar[tuple[Rule, ...]] = (
+        Rule(
+            lambda v: v.figures is not None and len(v.studies or ()) > 1,
+            Fault("--figures", "given with one study", "several", "", "Run scan2kd on each by itself"),
+        ),
+    )
+
     studies: Annotated[
         ReadFiles | None,
         Opt("study files", positional=True, repeats=True, name="study", example="study.toml"),
