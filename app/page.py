@@ -298,7 +298,14 @@ def layout_age():
 
 
 @app.cell
-def layout_results(other):
+def page_choice():
+    get_results()
+    page_shown = mo.ui.radio(list(session.pages), value=next(iter(session.pages), None), inline=True)
+    return (page_shown,)
+
+
+@app.cell
+def layout_results(other, page_shown):
     get_results()
     _parts, _pages = [], session.pages
 
@@ -317,12 +324,9 @@ def layout_results(other):
         _again = f"All results: {session.study.out}. Again: scan2kd {shlex.quote(str(session.study.path))}"
         _curves = tables.curves(session.responses)
         _parts += [mo.Html(page.text(_again)), mo.hstack(_curves, wrap=True, justify="start")]
-
-    def shown(path):
-        return lambda: mo.iframe(path.read_text(encoding="utf-8", errors="replace"), height="90vh")
-
     if _pages:
-        _parts.append(mo.ui.tabs({name: mo.lazy(shown(path)) for name, path in _pages.items()}))
+        _text = _pages[page_shown.value].read_text(encoding="utf-8", errors="replace")
+        _parts += [page_shown, mo.iframe(_text, height="90vh")]
     mo.vstack(_parts)
     return
 

@@ -161,10 +161,14 @@ def response_rows(result: KDFit) -> list[dict[str, Any]]:
     from stapeskit.report.figures import dof_unit
 
     shown, rows = responses(result), []
+    order = np.argsort(shown.freq_hz, kind="stable")
     for place, name in enumerate(result.dof):
         scale, symbol = dof_unit(name)
-        for kind, values in (("measured", shown.measured), ("fitted", shown.simulated)):
-            amplitude, phase = scale * np.abs(values[:, place]), np.angle(values[:, place], deg=True)
+        both = {"measured": shown.measured[:, place], "fitted": shown.simulated[:, place]}
+        smooth = np.empty(len(order))  # no jumps of a turn, which a line would draw
+        smooth[order] = np.unwrap(np.angle(both["fitted"])[order])
+        for kind, values in both.items():
+            amplitude, phase = scale * np.abs(values), np.degrees(smooth + np.angle(values / both["fitted"]))
             for at in zip(shown.freq_hz.tolist(), amplitude.tolist(), phase.tolist(), strict=True):
                 named = dict(zip(("frequency, Hz", "amplitude", "phase"), at, strict=True))
                 rows.append({"motion": f"{name}, {symbol}", "kind": kind, **named})

@@ -51,7 +51,7 @@ class Curves:
     def __init__(self, rows: Sequence[Mapping[str, Any]]) -> None:
         panels = [
             _panel("amplitude", rows[0]["motion"], {"type": "log"}),
-            _panel("phase", "phase, °", {"domain": [-180, 180]}),
+            _panel("phase", "phase, °", {"zero": False}),
         ]
         self.specification = {"$schema": _SCHEMA, "data": {"values": list(rows)}, "vconcat": panels}
 

@@ -187,6 +187,11 @@ def test_scan2kd_repeats_the_numbers_of_a_corrected_study_to_the_last_digit(sess
     reasons = [reason["code"] for reason in ours["verdict"]["reasons"]]
     assert session.choices("study", "confirmed") == (reasons, [])
     assert len(session.responses) == 2 * 3 * 24
+    for motion in {row["motion"] for row in session.responses}:
+        phases = [
+            row["phase"] for row in session.responses if (row["motion"], row["kind"]) == (motion, "fitted")
+        ]
+        assert np.abs(np.diff(phases)).max() < 180.0
     left_out = [name for name in session.choices("ldv", "leave_out")[0] if name.count(":") == 2][:1]
     assert session.outgrown == []
     session.study.put("ldv", leave_out=left_out)
