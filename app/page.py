@@ -353,7 +353,7 @@ def progress(tick):
             set_said(("danger", tables.status(fault)))
         else:
             set_said(("", tables.status(job.done, job.notices)))
-            up(set_results, *[set_picture] * (job.step == "found"))
+        up(set_results, *[set_picture] * (job.step == "found"))  # a step that failed may have got far
         set_busy(False)
         return "", ""
 
