@@ -18,6 +18,7 @@ from ct_inertia.bodies import BodySurface, Labelled, MeasuredBody, Moments
 from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.anatomy import AnatomyHints
 from ct_inertia.frames.footplate import FootplateFrame, footplate_frame, pose_near
+from ct_inertia.frames.gap import FARTHEST_MM, WindowGap, window_gap
 from ct_inertia.frames.plate_frame import PlateFrame, plate_frame
 from ct_inertia.inputs import Inputs
 from ct_inertia.mass.properties import point_masses
@@ -35,7 +36,6 @@ from stapeskit.warnings import Notice, once
 
 if TYPE_CHECKING:
     from ct_inertia.frames.fiducials import PlateFiducials
-    from ct_inertia.frames.gap import WindowGap
     from ct_inertia.mass.calibration import Calibration
     from ct_inertia.scan.scan import Scan
     from stapeskit.command import Progress
@@ -323,10 +323,26 @@ def _plate_frame(work: _Work, moments: Moments) -> PlateFrame | None:
 def _gap(measured: MeasuredBody, footplate: FootplateFrame, surface: Surface) -> WindowGap | None:
     if measured.wall is None or not np.any(measured.wall.field > 0.0):
         return None
-    from ct_inertia.frames.gap import window_gap
 
     wall = contour(measured.wall.field, measured.wall.scan_from_index, largest=False)
-    return window_gap(footplate, surface, wall, (measured.surface, measured.wall))
+    bodies = (measured.surface, measured.wall)
+    return window_gap(footplate, surface, wall, bodies, _medium_around(measured, footplate))
+
+
+def _medium_around(measured: MeasuredBody, footplate: FootplateFrame) -> float:
+    """Return the contrast, over bone's, of fluid at the rim, which may have been taken for a plate."""
+    from scipy.spatial import cKDTree
+
+    found, scene = measured.labelled, measured.scene
+    medium = 0.0 if scene is None else scene.media.get("soft", 0.0)
+    if found.plastic is None or not found.plate.any():
+        return medium
+    rim = footplate.scan_from_footplate.points(footplate.outline_mm)
+    plastic = found.box.scan_points(np.argwhere(found.plate)[:, ::-1])
+    plastic = plastic[np.all(np.abs(plastic - rim.mean(axis=0)) < np.ptp(rim, axis=0).max(), axis=1)]
+    if not len(plastic) or np.median(cKDTree(plastic).query(rim)[0]) > FARTHEST_MM:
+        return medium
+    return max(medium, (found.plastic - found.air) / (found.bone - found.air))
 
 
 def _ways(work: _Work, moments: Moments, footplate: FootplateFrame) -> tuple[MassByWay, ...]:

@@ -73,18 +73,20 @@ def window_gap(
     surface: Surface,
     wall: Surface,
     bodies: tuple[BodySurface, BodySurface] | None = None,
+    medium: float = 0.0,
 ) -> WindowGap | None:
     """Measure the gap; None where less than half of the rim has a wall opposite, or its sd is half of it.
 
     ``surface`` and ``wall`` are those of the stapes and of other bone, in scan coordinates; ``bodies``: how
-    both err, None: not at all.
+    both err, None: not at all; ``medium``: contrast of a fluid around the stapes, as a share of bone's.
 
     Notes
     -----
     Both surfaces move with the level. Second differences of the gap over places farther apart than what is
     averaged show the noise of one place, six times its variance: the median of n places, every third by
     itself, has pi / 2 times 3 / n of it; and noise chooses the layer where the rim is nearest. Two surfaces
-    that are near share their tails, and blur leaves edges rounded.
+    that are near share their tails, and blur leaves edges rounded. In a gap that blur fills, fluid of a
+    contrast c is not told from bone: half of it moves each edge by c / 2 times sqrt(2 pi) blur widths.
     """
     to_footplate = footplate.scan_from_footplate.inverse()
     places, outward = _places(footplate.outline_mm)
@@ -100,7 +102,7 @@ def window_gap(
     widths = along[there]
     median = float(np.median(widths))
     at_rim = footplate.scan_from_footplate.points(footplate.outline_mm)
-    sd = 0.0 if bodies is None else _standard_deviation(median, along, bodies, at_rim)
+    sd = 0.0 if bodies is None else _standard_deviation(median, along, bodies, medium, at_rim)
     if sd > _MOST_SD * median:
         return None
     harmonic = float(1.0 / np.mean(1.0 / widths))
@@ -108,7 +110,7 @@ def window_gap(
 
 
 def _standard_deviation(
-    gap_mm: float, along: Array, bodies: tuple[BodySurface, BodySurface], rim_mm: Array
+    gap_mm: float, along: Array, bodies: tuple[BodySurface, BodySurface], medium: float, rim_mm: Array
 ) -> float:
     """Return the standard deviation of a median gap of those along the rim; ``rim_mm`` (n, 3) in scan mm."""
     bends = np.roll(along, -_APART) - 2.0 * along + np.roll(along, _APART)
@@ -118,7 +120,7 @@ def _standard_deviation(
     misfit = sum(float(np.median(body.misfit_at(rim_mm))) ** 2 for body in bodies)
     resolution = max(body.resolution_mm for body in bodies)
     tails = float(np.exp(-0.5 * (gap_mm / resolution) ** 2))
-    blur = ((_TAILS_SD * tails) ** 2 + _EDGES_SD**2) * resolution**2
+    blur = ((_TAILS_SD * tails) ** 2 + _EDGES_SD**2 + 2.0 * np.pi * medium**2) * resolution**2
     return float(np.sqrt(level**2 + misfit + noise + blur))
 
 

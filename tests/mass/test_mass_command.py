@@ -96,6 +96,15 @@ def test_the_gap_of_the_ligament_lies_within_its_stated_sd(study: Study) -> None
     assert found.sd_mm < 0.006
 
 
+def test_fluid_in_the_gap_is_in_its_sd(tmp_path: Path) -> None:
+    """Between surfaces that blur joins, fluid is not told from bone: both edges move towards each other."""
+    ear = Ear(stapes=Stapes(family="foreign base"), gap_mm=0.12, fluid_depth_mm=0.3, plate=False)
+    truth = simulate_study(ear, Scan(voxel_um=36.0, soft=0.25, samples=4, seed=5), None, tmp_path)
+    anterior = tuple(float(v) for v in truth.scan_from_footplate.rotation[:, 0])
+    gap = ct2mass(scan=str(tmp_path / "scan.tif"), anterior=anterior).gap
+    assert gap is None or abs(gap.median_mm - 0.12) < 2.5 * gap.sd_mm
+
+
 def test_labels_state_no_smaller_sd_than_the_scan_alone(study: Study) -> None:
     by_scan, by_labels = study.scanned, study.labelled
     ratio = np.sqrt(np.diag(by_labels.footplate.covariance) / np.diag(by_scan.footplate.covariance))
