@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ct_inertia.frames.gap import WindowGap
 from simulate import Ear, MassProperties, Scan, Truth, simulate_truth, write_scan
 from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
@@ -31,6 +32,7 @@ class Measured:
     record: MassRecord | None
     seconds: float
     refusal: str = ""
+    gap: WindowGap | None = None
 
     @property
     def matrix(self) -> MassMatrix:
@@ -116,11 +118,12 @@ def measure(ear: Ear, scan: Scan, folder: Path, **options: Any) -> Measured:
     path = write_scan(folder, truth.placed, scan)
     started = time.process_time()
     try:
-        record = ct2mass(path, **{**options_of(truth), **options}).record
+        result = ct2mass(path, **{**options_of(truth), **options})
     except StapeskitError as error:
         return Measured(
             truth=truth, record=None, seconds=time.process_time() - started, refusal=f"{error}"[:90]
         )
     finally:
         path.unlink()
-    return Measured(truth=truth, record=record, seconds=time.process_time() - started)
+    seconds = time.process_time() - started
+    return Measured(truth=truth, record=result.record, seconds=seconds, gap=result.gap)
