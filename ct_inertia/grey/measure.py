@@ -25,6 +25,8 @@ from ct_inertia.grey.storing import storing_around
 from ct_inertia.voxels.fields import Grey
 from stapeskit.arrays import return_memory
 
+_LOUD = 5e-3  # share of the volume that noise leaves uncertain: twice that of white noise of 20 %
+
 
 def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
     """Measure the labelled stapes by its grey values, or as a solid of voxels where there are none.
@@ -73,7 +75,9 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
     soft, hollow, mucosa = (
         _share(amount, parts, moments) for amount in (parts.soft, fit.media.void_share, unstated)
     )
-    uneven = _share(uneven_air(parts), parts, moments) / np.sqrt(8.0)  # eighths that differ independently
+    uneven = float(_share(uneven_air(parts), parts, moments) / np.sqrt(8.0))  # eighths differ independently
+    shared = float(np.sqrt(moments.contributions["noise"][0, 0])) / moments.volume_mm3
+    uneven = max(uneven, shared if shared > _LOUD else 0.0)
     notices += [*media_notices(fit, soft, hollow), *misfit_notice(left, mucosa, bend, gain, uneven)]
     notices += [coat_notice(_share(usual_coat(fit), parts, moments))] if coat is None else []
     scene, level = _scene(fit, parts), parts.level

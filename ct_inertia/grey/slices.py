@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ct_inertia.bodies import Moments
+from ct_inertia.bodies import Grey, Moments
 from ct_inertia.grey.moments import COLUMNS, ROWS, effect
 from ct_inertia.grey.scene import SceneFit
 from stapeskit.arrays import Array
@@ -17,6 +17,7 @@ from stapeskit.warnings import Notice
 _MIN_Z = 6.0  # standard deviations of a step: none of a million whole scans by chance
 _LEAST_SHARE = 1.0 / 3.0  # of the step that one missing slice leaves; the blur hides up to half of it
 _LEAST_NOISE = 0.02  # of the contrast: what sampling leaves of a sharp picture without noise
+_ALIKE = 1.0 / 3.0  # of a break that growing and shrinking sections both show, or do not for their noise
 _NEIGHBOURS = 2  # slices on either side of a break that the scene bends towards it
 
 
@@ -50,12 +51,11 @@ def slice_breaks(fit: SceneFit) -> Iterator[SliceBreak]:
     contrast = np.float32(fit.contrasts["stapes"])
     steps = np.where(pairs, contrast * np.diff(fit.shares["stapes"], axis=0), np.float32(0.0))
     left = np.where(pairs, np.diff(fit.residual, axis=0), np.float32(0.0))
-    square = np.einsum("zyx,zyx->z", steps, steps, dtype=float)
-    slopes = np.einsum("zyx,zyx->z", steps, left, dtype=float) / np.maximum(square, 1e-12)
     share = float(erf(fit.start.spacing[0] / (2.0 * np.sqrt(2.0) * fit.widths_mm[0])))
     one = (2.0 / (1.0 + share) - 1.0) / float(fit.start.grid.block[2])
     noise = max(fit.start.noise, _LEAST_NOISE * float(contrast))
-    error = noise * np.sqrt(2.0 * max(fit.start.correlation, 1.0) / np.maximum(square, 1e-12))
+    noise *= float(np.sqrt(2.0 * max(fit.start.correlation, 1.0)))
+    slopes, error = _slopes(steps, left, noise)
     seen = error < _LEAST_SHARE * one / _MIN_Z
     if not seen.any():
         return
@@ -63,10 +63,20 @@ def slice_breaks(fit: SceneFit) -> Iterator[SliceBreak]:
     scatter = 1.4826 * float(np.median(np.abs(slopes[seen] - usual)))
     away = slopes - usual
     away[np.abs(away) < np.maximum(_MIN_Z * np.hypot(error, scatter), _LEAST_SHARE * one)] = 0.0
+    for part in (np.maximum(steps, np.float32(0.0)), np.minimum(steps, np.float32(0.0))):
+        slope, sd = _slopes(part, left, noise)
+        shown = sd < _ALIKE * np.abs(away)
+        away[shown & ((slope - usual) * np.sign(away) < _ALIKE * np.abs(away))] = 0.0
     while away.any():
         k = int(np.argmax(np.abs(away)))
         yield SliceBreak(k, float(away[k] / max(1.0 - share * (1.0 + away[k]), 0.1)))
         away[max(0, k - _NEIGHBOURS) : k + _NEIGHBOURS + 1] = 0.0
+
+
+def _slopes(steps: Grey, left: Grey, noise: float) -> tuple[Array, Array]:
+    """Return the slopes (n,) of what is left over steps [n, y, x], slice by slice, and their errors (n,)."""
+    square = np.maximum(np.einsum("zyx,zyx->z", steps, steps, dtype=float), 1e-12)
+    return np.einsum("zyx,zyx->z", steps, left, dtype=float) / square, noise / np.sqrt(square)
 
 
 def with_breaks(
