@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ct_inertia.bodies import Grey, Moments
 from ct_inertia.grey.moments import COLUMNS, ROWS, effect
@@ -18,6 +19,7 @@ _MIN_Z = 6.0  # standard deviations of a step: none of a million whole scans by 
 _LEAST_SHARE = 1.0 / 3.0  # of the step that one missing slice leaves; the blur hides up to half of it
 _LEAST_NOISE = 0.02  # of the contrast: what sampling leaves of a sharp picture without noise
 _ALIKE = 1.0 / 3.0  # of a break that growing and shrinking sections both show, or do not for their noise
+_LEAST_MM2 = 0.02  # of a section: least cross-section of a crus
 _NEIGHBOURS = 2  # slices on either side of a break that the scene bends towards it
 
 
@@ -63,6 +65,7 @@ def slice_breaks(fit: SceneFit) -> Iterator[SliceBreak]:
     scatter = 1.4826 * float(np.median(np.abs(slopes[seen] - usual)))
     away = slopes - usual
     away[np.abs(away) < np.maximum(_MIN_Z * np.hypot(error, scatter), _LEAST_SHARE * one)] = 0.0
+    away[~_within(fit)] = 0.0
     for part in (np.maximum(steps, np.float32(0.0)), np.minimum(steps, np.float32(0.0))):
         slope, sd = _slopes(part, left, noise)
         shown = sd < _ALIKE * np.abs(away)
@@ -71,6 +74,15 @@ def slice_breaks(fit: SceneFit) -> Iterator[SliceBreak]:
         k = int(np.argmax(np.abs(away)))
         yield SliceBreak(k, float(away[k] / max(1.0 - share * (1.0 + away[k]), 0.1)))
         away[max(0, k - _NEIGHBOURS) : k + _NEIGHBOURS + 1] = 0.0
+
+
+def _within(fit: SceneFit) -> NDArray[np.bool_]:
+    """Return between which slices (n,) the stapes goes on beyond the neighbours: at its tips fringes step."""
+    pixel = fit.start.grid.voxel_mm3 / float(fit.start.spacing[0])
+    wide = np.sum(fit.shares["stapes"], axis=(1, 2)) * pixel > _LEAST_MM2
+    before, behind = np.zeros_like(wide), np.zeros_like(wide)
+    before[_NEIGHBOURS:], behind[:-_NEIGHBOURS] = wide[:-_NEIGHBOURS], wide[_NEIGHBOURS:]
+    return np.asarray(before[:-1] & behind[1:])
 
 
 def _slopes(steps: Grey, left: Grey, noise: float) -> tuple[Array, Array]:
