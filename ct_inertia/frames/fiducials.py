@@ -17,6 +17,8 @@ from stapeskit.tables import read_table
 
 _SCAN = ("x_mm", "y_mm", "z_mm")
 _PLATE = ("x_ref_mm", "y_ref_mm", "z_ref_mm")
+_SIZES_MM = (0.5, 100.0)  # of what the points span: a plate of some millimetres, typed in mm
+_FARTHEST = 5.0  # distance of the stapes from their middle, in what they span: the plate lies beside it
 _LEAST_SD_MM = 1e-3  # of corners typed to a micrometre that happen to lie in one plane
 
 
@@ -97,8 +99,10 @@ def plate_frame_from_fiducials(fiducials: PlateFiducials, stapes_mm: Array) -> P
     Raises
     ------
     StapeskitError
-        Points on a line, or that fit only as a mirror image.
+        Points on a line, far from the stapes, or that fit only as a mirror image; points in one plane that
+        have the stapes behind the plate.
     """
+    _check_place(fiducials.scan_mm, stapes_mm)
     if fiducials.plate_mm is None:
         return _from_corners(fiducials, stapes_mm)
     fit = fit_rigid(
@@ -109,7 +113,25 @@ def plate_frame_from_fiducials(fiducials: PlateFiducials, stapes_mm: Array) -> P
         source="plate",
         names=fiducials.names,
     )
+    behind = float(fit.transform.inverse().points(stapes_mm)[1])
+    if behind < 0.0 and any(notice.code == "fiducials_coplanar" for notice in fit.notices):
+        expected = "on the side of the plate's face, y > 0 in its frame"
+        step = (
+            "Check the signs of x_ref_mm, y_ref_mm, z_ref_mm: points in one plane do not show a mirror image"
+        )
+        raise StapeskitError.of("the stapes", expected, f"y = {behind:.3g} mm", next_step=step)
     return PlateFrame(fit.transform, fit.covariance_si, np.zeros((0, 3)), False, "fiducials", fit.notices)
+
+
+def _check_place(points_mm: Array, stapes_mm: Array) -> None:
+    """Refuse points that are not in mm, or not in the coordinates of the scan."""
+    span = float(np.linalg.norm(np.ptp(points_mm, axis=0)))
+    distance = float(np.linalg.norm(points_mm.mean(axis=0) - stapes_mm))
+    if not _SIZES_MM[0] <= span <= _SIZES_MM[1] or distance > _FARTHEST * span:
+        expected = "in mm in scan coordinates, beside the stapes"
+        got = f"points that span {span:.3g} mm, their middle {distance:.3g} mm from it"
+        step = "Check their unit and coordinate system (LPS or RAS)"
+        raise StapeskitError.of("the points of --plate-fiducials", expected, got, next_step=step)
 
 
 def _from_corners(fiducials: PlateFiducials, stapes_mm: Array) -> PlateFrame:

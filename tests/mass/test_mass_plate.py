@@ -141,6 +141,20 @@ def test_points_with_places_in_the_plate_are_fitted() -> None:
         )
 
 
+@pytest.mark.parametrize(
+    ("factor", "mirror", "thing"),
+    [(1e3, 1.0, "the points of --plate-fiducials"), (1e-3, 1.0, "the points of --plate-fiducials"),
+     (1.0, -1.0, "the stapes")],
+    ids=["um", "m", "a mirrored plane"],
+)  # fmt: skip
+def test_fiducials_in_another_unit_or_of_a_mirrored_plane_are_refused(factor, mirror, thing) -> None:
+    local = CORNERS * np.array([1.0, 1.0, mirror])
+    given = PlateFiducials(tuple("abcd"), POSE.points(CORNERS) * factor, local * factor)
+    with pytest.raises(StapeskitError) as error:
+        plate_frame_from_fiducials(given, STAPES)
+    assert error.value.faults[0].thing == thing
+
+
 def test_fiducials_are_read_with_what_they_have(tmp_path: Path) -> None:
     path = tmp_path / "f.csv"
     path.write_text("name;x_mm;y_mm;z_mm;sd_mm\na;1,5;2;3;0,01\nb;4;5;6;0,02\nc;7;8;1;0,01\n")
