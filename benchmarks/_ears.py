@@ -21,6 +21,7 @@ from simulate import (
     base_motion,
     damped_alike,
     draw_ring,
+    draw_uneven_ring,
     measure_motion,
     motion_of,
     point_mass,
@@ -48,7 +49,7 @@ _HEAD_MM = (0.1, 3.3, 0.1)
 class RingEar:
     """How an ear is drawn."""
 
-    height_mm: float = 0.1  # of the plane of the ring
+    height_mm: float | None = 0.1  # of the plane of an even ring; None: an uneven one, as expected beforehand
     noise: float = 0.01  # of a channel over its root mean square
     law: str = "viscous"
     cause: str = ""  # one error of what the experimenter is given, or of the ligament, and its size
@@ -98,7 +99,7 @@ def _usual_mass() -> tuple[float, ...]:
 
 
 def _ligament(ear: RingEar, rng: np.random.Generator) -> Ligament:
-    ring = draw_ring(rng, ear.height_mm)
+    ring = draw_uneven_ring(rng) if ear.height_mm is None else draw_ring(rng, ear.height_mm)
     changes = {
         "drift": {"drift": 0.01 * ear.size},
         "step": {"step": 0.01 * ear.size},

@@ -139,15 +139,13 @@ def _noise(fit: KDFit) -> Iterator[Notice]:
 def outlying_hz(fit: KDFit) -> Array:
     """Return the frequencies of lines that noise as that of most lines makes in 1 % of robust fits.
 
-    Weights are (nu + d) / (nu + distance); over its median, the distance is judged by chi2 of d.
+    Their distance over the level of most lines is judged by chi2.
     """
-    weights = fit.found.weights
-    if weights is None or fit.found.data.floored:
+    found = fit.found
+    if found.weights is None or found.data.floored:
         return np.empty(0)
-    degrees = 2 * len(fit.dof)
-    distance = (4.0 + degrees) / weights - 4.0
-    usual = float(np.median(distance)) / float(chdtri(degrees, 0.5))
-    return fit.found.data.freq_hz[distance > usual * float(chdtri(degrees, _FALSE_OUTLIERS / len(weights)))]
+    farthest = float(chdtri(2 * len(fit.dof), _FALSE_OUTLIERS / found.data.count))
+    return found.data.freq_hz[found.distances > found.usual_level * farthest]
 
 
 def _model(fit: KDFit) -> Iterator[Notice]:
@@ -197,7 +195,9 @@ def _cause(fit: KDFit) -> str:
 
 def _inputs(fit: KDFit) -> Iterator[Notice]:
     if fit.found.data.dropped:
-        yield Notice("file_read", f"{fit.found.data.dropped} lines were left out: a value is missing there.")
+        yield Notice(
+            "file_read", f"{fit.found.data.dropped} lines were left out: a value is missing, or zero, there."
+        )
     if not fit.inertia.contributions:
         text = "The mass matrix came without an uncertainty; the intervals of K and D do not include it."
         yield Notice("mass_uncertainty_not_given", text)

@@ -143,7 +143,9 @@ def data_of(
         inside &= (motion.freq_hz < low) | (motion.freq_hz > high)
     pairs = [motion.pair(place, *bodies) for place in range(len(motion.runs))]
     whole, noise = (np.stack(parts).astype(complex) for parts in zip(*pairs, strict=True))
-    finite = np.isfinite(whole)
+    # a body with nothing but zeros at a line was not measured there
+    moving = [np.any(part != 0.0, axis=2, keepdims=True) for part in np.split(whole, 2, axis=2)]
+    finite = np.isfinite(whole) & np.repeat(np.concatenate(moving, axis=2), len(motion.dof), axis=2)
     keep = inside & np.all(finite, axis=2)
     run, line = np.nonzero(keep)
     q, noise, freq_hz, dropped = whole[keep], noise[keep], motion.freq_hz[line], int(np.sum(inside & ~keep))

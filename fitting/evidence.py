@@ -44,16 +44,6 @@ class Score:
     log_odds: float
     share: float = 0.0
 
-    @property
-    def found_from(self) -> float:
-        """Size from which the unknown is found in four of five measurements, in its unit.
-
-        Its log odds are above LOOK_ALIKE for |estimate| > sd sqrt(2 ln(...)); 0.84 sd more give 80 %.
-        """
-        narrow, wide = self.sd**2, self.sd**2 + self.unknown.sd**2
-        needed = np.log(wide / narrow) - 2.0 * np.log(self.unknown.chance) + 2.0 * LOOK_ALIKE
-        return float(np.sqrt(needed / (1.0 / narrow - 1.0 / wide)) + 0.84 * self.sd)
-
 
 @dataclass(frozen=True)
 class Alternative:
@@ -82,8 +72,10 @@ class Alternative:
 
     @property
     def determined(self) -> bool:
-        """Whether its size is above its standard deviation."""
-        return self.unknown is None or abs(self.value) > self.sd
+        """Whether its size is above its standard deviation, and one that it can have."""
+        if self.unknown is None:
+            return True
+        return (self.value if self.unknown.positive else abs(self.value)) > self.sd
 
 
 @dataclass(frozen=True)

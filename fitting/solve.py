@@ -83,6 +83,22 @@ class Fit:
         return self.n_dof > 0 and float(chdtr(self.n_dof, self.chi2)) < MISFIT_P
 
     @property
+    def distances(self) -> Array:
+        """Squared distances of the lines from the model, (lines,): those that made the robust weights."""
+        if self.weights is None:
+            return np.asarray(2.0 * np.sum(np.abs(self.likelihood.look(self.theta)[0]) ** 2, axis=1))
+        return (_STUDENT + 2 * self.likelihood.n) / self.weights - _STUDENT
+
+    @property
+    def usual_level(self) -> float:
+        """Chi2 per degree of freedom; of a robust fit that of most lines, by the median of chi2."""
+        from scipy.special import chdtri
+
+        if self.weights is None:
+            return self.level
+        return float(np.median(self.distances)) / float(chdtri(2 * self.likelihood.n, 0.5))
+
+    @property
     def law(self) -> DampingLaw:
         """The damping law, SI."""
         values = self.theta[self.at["law"]]

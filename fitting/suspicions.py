@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
 from fitting.data import Data
@@ -14,15 +15,14 @@ from fitting.likelihood import LOAD, PLAIN, Likelihood, Model
 from fitting.options import COMPARE, KDOptions
 from fitting.solve import MISFIT_P, best_start, degrees, minimise
 from stapeskit.arrays import Array
-from stapeskit.spatial import DOF_NAMES
+from stapeskit.spatial import DOF_NAMES, dof_indices
 from stapeskit.warnings import Notice
 
 # Chi2 per degree of freedom of K, D >= 0 without shared errors from which every reading is tried, and the
 # share of it below which one is reported: a right reading explains a hundred times more.
 _BAD, _BETTER = 4.0, 0.2
-_UNITS = (
-    25.0  # what shared errors leave of chi2 per degree of freedom in the right units; outliers leave more
-)
+_UNITS = 25.0  # chi2 per degree of freedom that shared errors leave in the right units; outliers leave more
+_SURE = 1.5  # the same where errors of M look alike: noise, and little else
 _DECISIVE = 50.0  # fall of chi2 from which one of two readings is sure: odds e^25
 # Geometric mean of rotation times 1 mm over displacement of both bodies: up to 2.2 for ears and shakers in
 # radians (rocking at resonance 5, base rocking 1), in degrees 57 times as much of 0.15 or more.
@@ -39,44 +39,49 @@ class Reading:
     step: str
     read: Callable[[Data], Data]
     mild: bool = False  # tried in a small misfit too: an ear that hardly rocks hardly shows it
+    most: float = np.inf  # chi2 per degree of freedom above which it is not reported
 
 
-def _times(data: Data, factor: Array) -> Data:
-    """Return the motion (lines, 2 m) times a factor (2 m,)."""
-    return replace(data, y=data.y * factor, covariance=data.covariance * np.outer(factor, factor))
+def _mapped(data: Data, matrix: Array) -> Data:
+    """Return the motion times a matrix (2 m, 2 m), SI."""
+    size = np.tile(data.root_mass, 2)
+    scaled = matrix * np.outer(size, 1.0 / size)
+    return replace(data, y=data.y @ scaled.T, covariance=scaled @ data.covariance @ scaled.T)
+
+
+def _columns(matrix: Array) -> Callable[[Data], Data]:
+    """Read the motion of both bodies through a matrix (6, 6)."""
+
+    def read(data: Data) -> Data:
+        own = matrix[np.ix_(*[dof_indices(data.measured)] * 2)]
+        return _mapped(data, block_diag(own, own))
+
+    return read
 
 
 def _rotations(size: float) -> Callable[[Data], Data]:
     """Multiply rotations; the size of the whole motion is of no matter."""
-
-    def read(data: Data) -> Data:
-        return _times(data, np.tile(np.where(_turning(data), size, 1.0), 2))
-
-    return read
+    return _columns(np.diag([1.0, 1.0, 1.0, size, size, size]))
 
 
 def _turning(data: Data) -> NDArray[np.bool_]:
     return np.array([name in DOF_NAMES[3:] for name in data.measured])
 
 
-def _exchanged(data: Data) -> Data:
-    order = np.roll(np.arange(2 * len(data.measured)), len(data.measured))
-    return replace(data, y=data.y[:, order], covariance=data.covariance[:, order][:, :, order])
-
-
+_RADIANS = "Write them in radians, and M in SI units"
+_FRAME = "Correct the columns, or M: with a frame of the other hand they look alike"
 _READINGS = (
     Reading(
-        "unit_slip", "Rotations look like degrees: in radians the motion fits",
-        "Write them in radians, and M in SI units",
-        _rotations(float(np.radians(1.0))), mild=True,
+        "unit_slip", "Rotations look like degrees: in radians the motion fits", _RADIANS,
+        _rotations(float(np.radians(1.0))), mild=True, most=_UNITS,
     ),
     Reading(
-        "unit_slip", "Rotations look like milliradians: in radians the motion fits",
-        "Write them in radians, and M in SI units", _rotations(1e-3),
+        "unit_slip", "Rotations look like milliradians: in radians the motion fits", _RADIANS,
+        _rotations(1e-3), most=_UNITS,
     ),
     Reading(
         "unit_slip", "Displacements look like millimetres: in metres the motion fits",
-        "Write them in metres", _rotations(1e3),
+        "Write them in metres", _rotations(1e3), most=_UNITS,
     ),
     Reading(
         "phase_convention",
@@ -88,11 +93,23 @@ _READINGS = (
         "phase_convention",
         "Structure and base look read in opposite senses: the motion fits with one of them reversed",
         "Reverse the sign of all readings of the body whose directions point the wrong way",
-        lambda data: _times(data, np.repeat([1.0, -1.0], len(data.measured))),
+        lambda data: _mapped(data, np.diag(np.repeat([1.0, -1.0], len(data.measured)))),
     ),
     Reading(
         "bodies_exchanged", "Structure and base look exchanged: the motion fits with their names swapped",
-        "Exchange the names of the bodies, or --structure and --base", _exchanged,
+        "Exchange the names of the bodies, or --structure and --base",
+        lambda data: _mapped(data, np.roll(np.eye(2 * len(data.measured)), len(data.measured), axis=0)),
+    ),
+    *(
+        Reading("phase_convention", f"{what}: so read the motion fits", _FRAME, _columns(read), most=_SURE)
+        for what, read in (
+            ("All rotations look of the other sign", np.diag([1, 1, 1, -1, -1, -1])),
+            ("alpha and gamma look exchanged", np.eye(6)[[0, 1, 2, 5, 4, 3]]),
+            *(
+                (f"{DOF_NAMES[place]} looks of the other sign", np.eye(6) - 2.0 * np.diag(np.eye(6)[place]))
+                for place in (0, 2, 3, 5)
+            ),
+        )
     ),
 )  # fmt: skip
 
@@ -111,12 +128,11 @@ def suspicions(data: Data, options: KDOptions) -> list[Notice]:
     tried = [
         (_level(reading.read(bare), model), number, reading)
         for number, reading in enumerate(_READINGS)
-        if (own >= _BAD or (reading.mild and misfit)) and (mixed or reading.code != "unit_slip")
+        if (own >= _BAD or (reading.mild and misfit)) and (mixed or reading.most == np.inf)
     ]
     for level, _, reading in sorted(tried)[:1]:
         sure = misfit and chdtrc(n_dof, n_dof * level) > MISFIT_P and n_dof * (own - level) > _DECISIVE
-        most = min(_BETTER * own, _UNITS if reading.code == "unit_slip" else np.inf)
-        if sure or (own >= _BAD and level < most):
+        if sure or (own >= _BAD and level < min(_BETTER * own, reading.most)):
             text = f"{reading.meaning} with chi2 per degree of freedom {level:.3g} instead of {own:.3g}"
             return [Notice(reading.code, f"{text}. {reading.step}.")]
     return _degrees_by_size(data) if mixed else []

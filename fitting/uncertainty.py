@@ -38,10 +38,12 @@ def alike_lines(found: Fit) -> float:
     makes it, and where the misfit that chi2 shows, or hides, could make r_1. Where chi2 is smaller than
     that, the noise is as small as residuals show.
     """
-    white, run = found.likelihood.look(found.theta)[0], found.data.run
+    white, run, level = found.likelihood.look(found.theta)[0], found.data.run, found.usual_level
     longest = int(np.max(np.bincount(run), initial=0))
-    if longest < _LEAST_LINES or found.weights is not None:
+    if longest < _LEAST_LINES:
         return 1.0
+    if found.weights is not None:  # what a robust estimate sums up are weights times residuals
+        white = white * np.sqrt(found.weights)[:, None]
     size, chance = np.mean(np.abs(white) ** 2), np.sqrt(0.5 / white.size)
     farthest = min(longest // 4, _FARTHEST_LINE)
 
@@ -52,11 +54,11 @@ def alike_lines(found: Fit) -> float:
     every = np.array([alike(lag) for lag in range(1, farthest + 1)])
     excess = every - np.mean(every[2 * farthest // 3 :])
     near = excess[: int(np.argmax(np.append(excess, 0.0) < _BY_CHANCE * chance))]
-    by_misfit = max(1.0 - 1.0 / found.level, 0.0) + _HIDDEN * chance * np.sqrt(2.0)
+    by_misfit = max(1.0 - 1.0 / level, 0.0) + _HIDDEN * chance * np.sqrt(2.0)
     by_noise = _HIDDEN * chance * np.sqrt(2.0 + 4.0 * np.sum(near**2))
-    if excess[0] < by_misfit or found.level > 1.0 + by_noise:
+    if excess[0] < by_misfit or level > 1.0 + by_noise:
         return 1.0
-    stated = 1.0 if found.level > 1.0 - by_noise else found.level
+    stated = 1.0 if level > 1.0 - by_noise else level
     return max(stated * (1.0 + 2.0 * float(np.sum(near))), 1.0)
 
 

@@ -106,6 +106,9 @@ class Ring:
     normal: float = 2.6e5
     loss_s: float = 1.4e-5  # damping over stiffness, with ``loss_ratios`` for radial, tangential and normal
     loss_ratios: tuple[float, float, float] = (1.1, 0.9, 1.0)
+    # harmonics along the rim: of the stiffness over its mean, one each, and the second of the height, mm
+    uneven: tuple[complex, ...] = ()
+    warp_mm: complex = 0.0j
     pieces: int = 90
 
     def matrix(self, radial: float, tangential: float, normal: float) -> Array:
@@ -113,14 +116,17 @@ class Ring:
         angle = (np.arange(self.pieces) + 0.5) * 2.0 * np.pi / self.pieces
         a, b = np.asarray(self.half_axes_mm) * 1e-3
         turn = rotation_from_vector(np.radians([self.tilt_deg[0], 0.0, self.tilt_deg[1]]))
-        places = np.column_stack([a * np.cos(angle), np.zeros(self.pieces), b * np.sin(angle)])
+        height = 1e-3 * (self.warp_mm * np.exp(2j * angle)).real
+        places = np.column_stack([a * np.cos(angle), height, b * np.sin(angle)])
         tangents = np.column_stack([-a * np.sin(angle), np.zeros(self.pieces), b * np.cos(angle)])
         length = np.linalg.norm(tangents, axis=1)
+        orders = np.arange(1, len(self.uneven) + 1)
+        share = length * (1.0 + (np.exp(1j * np.outer(angle, orders)) @ np.array(self.uneven)).real)
         up = np.array([0.0, 1.0, 0.0])
         total = np.zeros((6, 6))
-        for place, along, share in zip(places, tangents / length[:, None], length, strict=True):
+        for place, along, size in zip(places, tangents / length[:, None], share, strict=True):
             axes = turn @ np.column_stack([np.cross(along, up), along, up])
-            local = axes @ np.diag([radial, tangential, normal]) @ axes.T * (share * angle[0] * 2.0)
+            local = axes @ np.diag([radial, tangential, normal]) @ axes.T * (size * angle[0] * 2.0)
             arm = turn @ place + np.asarray(self.centre_mm) * 1e-3
             rows = np.hstack([np.eye(3), -cross_matrix(arm)])
             total += rows.T @ local @ rows
@@ -149,6 +155,18 @@ def draw_ring(rng: np.random.Generator, height_mm: float = 0.1, tilt_sd_deg: flo
         normal=float(level),
         loss_s=float(rng.uniform(0.9e-5, 2.0e-5)),
     )
+
+
+def draw_uneven_ring(rng: np.random.Generator) -> Ring:
+    """Draw a ring as fits of K and D expect a ligament beforehand (fitting/calibrated.toml).
+
+    Its plane lies 0.15 +- 0.15 mm above the footplate centre, tilted by 3 degrees (sd) and warped by 0.03 mm;
+    its stiffness varies along the rim by 30 % in the first and in the second harmonic.
+    """
+    ring = draw_ring(rng, float(rng.normal(0.15, 0.15)), 3.0)
+    phases = np.exp(2j * np.pi * rng.uniform(size=3))
+    warp = complex(0.03 * rng.standard_normal() * phases[2])
+    return replace(ring, uneven=tuple((0.3 * phases[:2]).tolist()), warp_mm=warp)
 
 
 def stapes_motion(

@@ -46,6 +46,7 @@ class Experiment:
     stated: str = "sd"  # what the file says of the noise, one of NOISE_COLUMNS
     position_sd_mm: float = 0.01  # error with which points and fiducials are known, per coordinate
     fiducial_sd_mm: float = 0.01
+    laser_scatter: float = 0.0  # of gain, phase and delay of the lasers, in 1 %, 0.5 degrees and 1 us (sd)
     # fiducials are stated as read off the scan; else as in the drawing of the plate, where there is one
     marks_in_scan: bool = False
     # share of single values that are missing; one channel is missing over half of the lines
@@ -157,6 +158,8 @@ def measure_motion(
         runs=len(experiment.excitations),
     )
     faultless = state.readings()
+    if experiment.laser_scatter:
+        state.factor *= _laser_factors(experiment)[state.laser]
     for fault in experiment.faults:
         apply_fault(state, fault)
     size = np.sqrt(np.mean(np.abs(faultless) ** 2, axis=2))
@@ -193,6 +196,14 @@ def measure_motion(
         motion_m=dict(motions),
         vibrometer_from_footplate=pose,
     )
+
+
+def _laser_factors(experiment: Experiment) -> ComplexArray:
+    """Return by what each laser multiplies its readings, (lasers, L)."""
+    draws = np.random.default_rng([experiment.seed, 1]).standard_normal((3, experiment.lasers, 1))
+    gain, phase, delay = experiment.laser_scatter * draws
+    angle = np.radians(0.5 * phase) - 2.0 * np.pi * experiment.freq_hz * 1e-6 * delay
+    return np.asarray((1.0 + 0.01 * gain) * np.exp(1j * angle))
 
 
 def _with_gaps(velocity: ComplexArray, experiment: Experiment) -> ComplexArray:

@@ -240,7 +240,7 @@ def _causes(fit: KDFit) -> dict[str, Any] | None:
             for other, weight in zip(search.alternatives, search.weights, strict=True)
         ],
         "scores": [
-            _of(score, "sd log_odds found_from") | _of(score.unknown, "name unit") | {"size": score.value}
+            _of(score, "sd log_odds") | _of(score.unknown, "name unit") | {"size": score.value}
             for score in search.scores
         ],
     }

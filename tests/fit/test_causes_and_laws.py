@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fitting.data import data_of
-from fitting.evidence import Score, _refit, log_odds
+from fitting.evidence import Alternative, Score, _refit, log_odds
 from fitting.laws import LAWS
 from fitting.likelihood import Likelihood, Model
 from fitting.mass import inertia_of
@@ -97,6 +97,11 @@ def test_a_wrong_fixed_value_is_named_with_what_it_is_off(fixed, value):
     assert shown == pytest.approx(value, rel=1e-3)
     right = fit(ear.motion, ear.mass, unknowns=f"{fixed}=0")
     assert right.search.best is None
+
+
+@pytest.mark.parametrize(("name", "determined"), [("head_mass", False), ("delay", True)])
+def test_a_mass_below_zero_explains_nothing(name, determined):
+    assert Alternative(-0.37, 0.04, 485.0, None, UNKNOWNS[name]).determined is determined
 
 
 def test_an_unknown_more_never_explains_less():

@@ -93,6 +93,10 @@ def in_degrees(motion, rotations=180.0 / np.pi, displacements=1.0):
     return replace(motion, q=motion.q * scale, covariance=motion.covariance * np.outer(scale, scale))
 
 
+def read_through(motion, matrix):
+    return replace(motion, q=motion.q @ matrix.T, covariance=matrix @ motion.covariance @ matrix.T)
+
+
 @pytest.mark.parametrize(
     ("spoil", "code"),
     [
@@ -102,6 +106,9 @@ def in_degrees(motion, rotations=180.0 / np.pi, displacements=1.0):
         (in_degrees, "unit_slip"),
         (partial(in_degrees, rotations=1e3), "unit_slip"),
         (partial(in_degrees, rotations=1.0, displacements=1e3), "unit_slip"),
+        (partial(in_degrees, rotations=-1.0), "phase_convention"),
+        (lambda motion: read_through(motion, np.diag([1.0, -1.0, 1.0])), "phase_convention"),
+        (lambda motion: read_through(motion, np.eye(3)[[0, 2, 1]]), "phase_convention"),
     ],
 )
 @pytest.mark.parametrize("estimator", ["ml", "pinv"])
@@ -265,10 +272,11 @@ def test_a_mass_of_no_stapes_and_one_that_lacks_the_plane_are_named():
     assert "inplane_neglected" in codes(fit(ring_ear(1, lines=24).motion, M))
 
 
-def test_lines_with_missing_values_are_left_out_and_counted():
+@pytest.mark.parametrize("value", [np.nan, 0.0])
+def test_lines_with_missing_values_are_left_out_and_counted(value):
     motion, _ = paper_motion(0.02, 1)
     q = motion.q.copy()
-    q[0, 0, 4:9] = np.nan
+    q[0, 0, 4:9] = value
     result = fit(replace(motion, q=q), M)
     assert result.found.data.dropped == 5
     (text,) = [notice.text for notice in result.notices if notice.code == "file_read"]

@@ -225,6 +225,7 @@ def test_robust_weights_keep_sd_where_nothing_is_off_and_find_lines_that_are():
     spoiled = fit(replace(motion, q=q), M, robust="t4")
     assert np.abs(deviation(spoiled)).max() < 3.5
     assert any(notice.code == "outliers" for notice in spoiled.notices)
+    assert spoiled.found.data.widened == 1.0
 
 
 def test_robust_weights_leave_what_is_known_beforehand_as_it_is():
@@ -254,6 +255,10 @@ def test_noise_that_neighbouring_lines_share_is_found_and_widens_the_intervals(s
             assert "noise_alike" in codes(
                 fit(replace(exact, q=exact.q + noise[None]), M, estimator="constrained")
             )
+            robust = fit(replace(exact, q=exact.q + noise[None]), M, robust="t4")
+            assert robust.found.data.widened == pytest.approx(result.found.data.widened, rel=0.3)
+            assert robust.sd == pytest.approx(result.sd, rel=0.3)
+            assert "outliers" not in codes(robust)
         off.append(deviation(result))
         wider.append(result.found.data.widened)
         assert "noise_alike" in codes(result)
