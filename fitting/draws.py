@@ -27,12 +27,7 @@ def root_of(covariance: Array) -> Array:
     """Return R (p, p) with R R^T the covariance, which may be singular.
 
     The symmetric root of the correlation matrix: it follows the covariance continuously, so that draws from
-    covariances that rounding alone tells apart are the same.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        The covariance is not finite, or smaller than numbers can be.
+    covariances that rounding alone tells apart are the same. LinAlgError where it is not finite.
     """
     size, values, vectors = _principal(covariance)
     return np.asarray(size[:, None] * (vectors * np.sqrt(values)) @ vectors.T)

@@ -73,9 +73,8 @@ class Alternative:
     @property
     def determined(self) -> bool:
         """Whether its size is above its standard deviation, and one that it can have."""
-        if self.unknown is None:
-            return True
-        return (self.value if self.unknown.positive else abs(self.value)) > self.sd
+        one_sided = self.unknown is not None and self.unknown.positive
+        return self.unknown is None or (self.value if one_sided else abs(self.value)) > self.sd
 
 
 @dataclass(frozen=True)

@@ -68,14 +68,8 @@ class Model:
 class Likelihood:
     """Residuals and derivatives of one model on one data set.
 
-    Parameters are ordered K and D (of the rows), the law's, Y, further unknowns, shared errors.
-
-    Parameters
-    ----------
-    noise : float
-        Variance of the noise over that stated.
-    weights : ndarray, (lines,), optional
-        On the precision of each line.
+    Parameters are ordered K and D (of the rows), the law's, Y, further unknowns, shared errors. ``noise`` is
+    its variance over that stated, ``weights`` (lines,) are on the precision of each line.
     """
 
     def __init__(self, data: Data, model: Model, noise: float = 1.0, weights: Array | None = None):

@@ -133,10 +133,7 @@ def stated_mass(plan: Plan) -> Inertia:
 def expect(plan: Plan, mass: Inertia | None = None) -> dict[str, KDFit]:
     """Return what the plan, and the plan with one change each, would state: ``as planned`` first.
 
-    Parameters
-    ----------
-    mass : Inertia, optional
-        Of a mass.json or a table; left out: that which the plan states.
+    The mass is that of a file, or that which the plan states.
 
     Raises
     ------

@@ -227,14 +227,8 @@ def fit(
 ) -> Fit:
     """Fit; where the data are not explained, with as much noise as there is.
 
-    Parameters
-    ----------
-    noise : float, optional
-        Where the noise level begins: that of a fit with fewer unknowns.
-    robust : bool
-        Weigh lines by Student's t with four degrees of freedom.
-    rough : bool
-        For a comparison: without covariance.
+    ``noise`` is where its level begins, that of a fit with fewer unknowns; ``robust`` weighs lines by
+    Student's t with four degrees of freedom; a ``rough`` fit, for a comparison, has no covariance.
 
     Notes
     -----

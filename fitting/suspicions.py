@@ -68,20 +68,16 @@ def _turning(data: Data) -> NDArray[np.bool_]:
     return np.array([name in DOF_NAMES[3:] for name in data.measured])
 
 
-_RADIANS = "Write them in radians, and M in SI units"
+_SI = "Write metres and radians, and M in SI units"
 _FRAME = "Correct the columns, or M: with a frame of the other hand they look alike"
 _READINGS = (
-    Reading(
-        "unit_slip", "Rotations look like degrees: in radians the motion fits", _RADIANS,
-        _rotations(float(np.radians(1.0))), mild=True, most=_UNITS,
-    ),
-    Reading(
-        "unit_slip", "Rotations look like milliradians: in radians the motion fits", _RADIANS,
-        _rotations(1e-3), most=_UNITS,
-    ),
-    Reading(
-        "unit_slip", "Displacements look like millimetres: in metres the motion fits",
-        "Write them in metres", _rotations(1e3), most=_UNITS,
+    *(
+        Reading("unit_slip", f"{what}: in SI units the motion fits", _SI, _rotations(size), mild, _UNITS)
+        for what, size, mild in (
+            ("Rotations look like degrees", float(np.radians(1.0)), True),
+            ("Rotations look like milliradians", 1e-3, False),
+            ("Displacements look like millimetres", 1e3, False),
+        )
     ),
     Reading(
         "phase_convention",
