@@ -67,8 +67,9 @@ from simulate.vibrometer import Experiment, Recording, measure_motion
 __all__ = [
     "FIDUCIALS_MM", "KINDS", "LAWS", "STAPES", "Ear", "Experiment", "Ligament", "MassProperties",
     "MeasurementFault", "Moments", "Population", "Recording", "Ring", "Scan", "Solid", "Stapes", "Truth",
-    "base_motion", "box", "cohort", "coverage_of", "damped_alike", "draw_ring", "draw_uneven_ring", "ellipsoid",
-    "footplate_frame", "measure_motion", "motion_of", "point_mass", "render", "resonant_motion", "ring",
-    "ring_ligament", "rod", "scattered_points", "simulate_recording", "simulate_study", "simulate_truth",
-    "stapes_motion", "stapes_solid", "uniform_mass", "write_labels", "write_recording", "write_scan",
+    "base_motion", "box", "cohort", "coverage_of", "damped_alike", "draw_ring", "draw_uneven_ring",
+    "ellipsoid", "footplate_frame", "measure_motion", "motion_of", "point_mass", "render", "resonant_motion",
+    "ring", "ring_ligament", "rod", "scattered_points", "simulate_recording", "simulate_study",
+    "simulate_truth", "stapes_motion", "stapes_solid", "uniform_mass", "write_labels", "write_recording",
+    "write_scan",
 ]  # fmt: skip
