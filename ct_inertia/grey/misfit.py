@@ -22,6 +22,7 @@ _LEAST_VOXELS, _LEAST_CELL = 100, 12
 _LEAST_SHARE = calibrated("misfit.least_share")
 _MIN_Z, _MIN_CHI2 = 7.0, 35.0
 _SUSPECT_Z = 2.0  # a second fit then decides: 1 in 40 bare bones costs one by chance
+_QUIET = 0.05  # noise, share of the contrast, beyond which surfaces follow it and fits differ by that
 _DEEP = 0.9  # share of bone from which a voxel shows its level
 _TERMS = 10  # of a polynomial of second order in space
 _LEAST_GAIN = 5e-3  # of the level of bone: less moves volume and frame by less than noise does
@@ -50,6 +51,8 @@ class PlaceMisfit:
         Mean square of the means over cells, in units of what noise leaves them.
     least : float
         Share from which it is named: what the rough surface of a body in noise leaves, or a fixed one.
+    soft_from : float
+        Mean over its standard error from which it may be soft tissue.
     """
 
     place: str
@@ -57,6 +60,7 @@ class PlaceMisfit:
     z: float
     chi2: float
     least: float
+    soft_from: float
 
     @property
     def stands_out(self) -> bool:
@@ -66,7 +70,7 @@ class PlaceMisfit:
     @property
     def may_be_soft(self) -> bool:
         """Whether it is bright enough that another model is worth a fit."""
-        return self.share > 0.0 and self.z > _SUSPECT_Z
+        return self.share > 0.0 and self.z > self.soft_from
 
     def __str__(self) -> str:
         return f"{PLACES[self.place]}: {100.0 * self.share:+.2f} % of the volume"
@@ -99,7 +103,8 @@ def misfits(fit: SceneFit, residual: Grey, voxel_mm3: float, moments: Moments) -
         expected = noise * np.sqrt(fit.start.correlation / size[full])
         chi2 = float(np.mean((means / np.maximum(expected, 1e-9)) ** 2)) if full.any() else 0.0
         share = float(values.sum(dtype=float)) * voxel_mm3 / moments.volume_mm3
-        found.append(PlaceMisfit(place, share, abs(mean) / error, chi2, least))
+        soft_from = _SUSPECT_Z * max(1.0, noise / _QUIET)
+        found.append(PlaceMisfit(place, share, abs(mean) / error, chi2, least, soft_from))
     return found
 
 
