@@ -32,20 +32,25 @@ def material_levels(grey: Grey, noise: float, voxel_mm3: float, outside: Mask | 
     in a gap one or two voxels wide, and where the edges of thin bone run together, the blur has a level that
     belongs to no material. Less than two levels: there is nothing but noise.
     """
-    apart = max(2.5 * noise, 0.04 * (float(grey.max()) - float(grey.min())))
+    low, high = float(grey.min()), float(grey.max())
+    apart = max(2.5 * noise, 0.04 * (high - low))
     mean, flat = _crosses(grey, _FLAT_NOISE * noise)
     if outside is not None:
         flat &= ~outside[1:-1, 1:-1, 1:-1]
     width = apart / _BINS
-    low = float(grey.min()) - width
-    inside = mean[flat]
-    histogram = np.bincount(((inside - np.float32(low)) * np.float32(1.0 / width)).astype(np.int64))
+    low -= width
+    histogram = np.zeros(int((high - low) / width) + 2, dtype=np.int64)
+    for layer, used in zip(mean, flat, strict=True):
+        bins = ((layer[used] - np.float32(low)) * np.float32(1.0 / width)).astype(np.int64)
+        histogram += np.bincount(bins, minlength=len(histogram))
     top = _bright_rest(grey, histogram, low, width, noise, voxel_mm3)
     levels = _modes(histogram, low, width)
+    same = _SAME_NOISE * noise
     kept = [
         level
         for k, level in enumerate(levels)
-        if k in (0, len(levels) - 1) or _is_solid(np.abs(mean - np.float32(level)) < _SAME_NOISE * noise)
+        if k in (0, len(levels) - 1)
+        or _is_solid((mean > np.float32(level - same)) & (mean < np.float32(level + same)))
     ]
     if top is not None and (not kept or top > kept[-1] + 8.0 * noise):
         kept.append(top)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.find.levels import material_levels
@@ -266,8 +268,14 @@ def _outside(grey: Grey, value: float, from_corners: bool) -> Mask | None:
         touching = np.zeros(int(labels.max()) + 1, dtype=bool)
         touching[np.concatenate(faces)] = True
         touching[0] = False
-        chosen[joined[grown(touching[labels]) & same]] = True
+        for layer, near in zip(joined, grown(_taken(touching, labels)) & same, strict=True):
+            chosen[layer[near]] = True
     chosen[0] = False
-    outside = chosen[joined]
+    outside = _taken(chosen, joined)
     enough = outside.any() and (not from_corners or np.mean(outside) >= _LEAST_PADDING)
     return outside if enough else None
+
+
+def _taken(chosen: Mask, labels: NDArray[Any]) -> Mask:
+    """Return ``chosen[labels]``, whose index as a whole would take eight bytes a voxel."""
+    return np.stack([chosen[layer] for layer in labels])

@@ -66,8 +66,8 @@ class Face:
 class Cone:
     """The triangles of a region that look about against a direction.
 
-    ``points`` (n, 6) are its vertices before and after the correction for blur, mm; ``across`` (m, 3) the
-    directions in which areas of its faces count, None where all do.
+    ``points`` (n, 3 or 6) are its vertices, before and after a correction for blur, mm; ``across`` (m, 3)
+    the directions in which areas of its faces count, None where all do.
     """
 
     y_axis: Array
@@ -86,8 +86,14 @@ class Cone:
         if not len(faces):
             raise no_face("a body without such a face")
         used, place = np.unique(faces, return_inverse=True)
-        points = np.hstack([region.diffusion.points[used], region.points[used]])
+        points, before = region.points, region.diffusion.points
+        points = points[used] if points is before else np.hstack([before[used], points[used]])
         return cls(y_axis, points, place.reshape(-1, 3), normals[used], region.ends[used], across)
+
+    @cached_property
+    def sizes(self) -> tuple[Array, Array]:
+        """Areas (m,) and centres (m, 3) of its faces."""
+        return _sizes(self.points[self.faces], self.across)
 
     def face(self, y_axis: Array, cosine: float, border: bool = False) -> Face:
         """Cut the face out, with the triangles that pass the angle; its border only if asked for."""
@@ -95,43 +101,40 @@ class Cone:
         inside = field > 0.0
         piece = self._pieces(inside)
         count = inside[self.faces].sum(axis=1)
-        whole = self.faces[count == 3]
         # The corner that is alone on its side of the angle comes first, in the sense of the triangle.
         one, two = (
             np.take_along_axis(cut, (np.argmax(inside[cut] == alone, axis=1)[:, None] + np.arange(3)) % 3, 1)
             for cut, alone in ((self.faces[count == 1], True), (self.faces[count == 2], False))
         )
         values = self.points
-        if border:
-            values = np.column_stack([values, _slope(values[:, :3], self.faces, field)])
         ahead, back = (np.concatenate([one[:, [0, a]], two[:, [0, b]]]) for a, b in ((1, 2), (2, 1)))
         starts, stops = (_crossings(values, field, edges) for edges in (ahead, back))
         first, last = starts[len(one) :], stops[len(one) :]
         corners = [
-            values[whole],
             np.stack([values[one[:, 0]], starts[: len(one)], stops[: len(one)]], axis=1),
             np.stack([last, values[two[:, 1]], values[two[:, 2]]], axis=1),
             np.stack([last, values[two[:, 2]], first], axis=1),
         ]
-        of = piece[np.concatenate([whole[:, 0], one[:, 0], two[:, 1], two[:, 1]])]
-        triangles = np.concatenate(corners)
-        a, b, c = (triangles[:, k, :3] for k in range(3))
-        vectors = 0.5 * np.cross(b - a, c - a)
-        areas = np.linalg.norm(vectors, axis=1)
+        along = None
         if self.across is not None:
-            along = np.concatenate([self.across[count == number] for number in (3, 1, 2, 2)])
-            areas = np.maximum(np.sum(vectors * along, axis=1), 0.0)
+            along = np.concatenate([self.across[count == number] for number in (1, 2, 2)])
+        parts, whole = _sizes(np.concatenate(corners), along), count == 3
+        areas, centres = (
+            np.concatenate([own[whole], cut]) for own, cut in zip(self.sizes, parts, strict=True)
+        )
+        of = piece[np.concatenate([self.faces[whole, 0], one[:, 0], two[:, 1], two[:, 1]])]
         largest = int(np.argmax(np.bincount(of, areas)))
         kept = of == largest
         outline, segments, slopes = np.zeros((0, 3)), np.zeros((0, 2, 3)), np.zeros(0)
         if border:
             own = piece[np.concatenate([one[:, 0], two[:, 1]])] == largest
-            segments = np.stack([starts[own, 3:6], stops[own, 3:6]], axis=1)
-            slopes = 0.5 * (starts[own, 6] + stops[own, 6])
+            segments = np.stack([starts[own, -3:], stops[own, -3:]], axis=1)
+            slope = _slope(values[:, :3], self.faces, field)[:, None]
+            slopes = np.mean([_crossings(slope, field, edges[own])[:, 0] for edges in (ahead, back)], axis=0)
             keys = (np.sort(edges[own], axis=1) @ [len(field), 1] for edges in (ahead, back))
             outline = _longest_line(segments, *keys)
         reaches_end = bool(np.any(self.ends & inside & (piece == largest)))
-        return Face(triangles[kept, :, 3:6].mean(axis=1), areas[kept], outline, segments, slopes, reaches_end)
+        return Face(centres[kept], areas[kept], outline, segments, slopes, reaches_end)
 
     def _pieces(self, inside: NDArray[np.bool_]) -> NDArray[np.intp]:
         """Return the number of the connected part (n,) of each vertex inside."""
@@ -144,6 +147,17 @@ class Cone:
         both = inside[ends[0]] & inside[ends[1]]
         links = coo_array((both[both], (ends[0][both], ends[1][both])), shape=(len(inside),) * 2)
         return np.asarray(connected_components(links, directed=False)[1])
+
+
+def _sizes(corners: Array, across: Array | None) -> tuple[Array, Array]:
+    """Return areas (m,) and centres (m, 3) of triangles (m, 3, 3 or 6)."""
+    a, b, c = (corners[:, k, :3] for k in range(3))
+    vectors = 0.5 * np.cross(b - a, c - a)
+    if across is None:
+        areas = np.linalg.norm(vectors, axis=1)
+    else:
+        areas = np.maximum(np.sum(vectors * across, axis=1), 0.0)
+    return areas, corners[:, :, -3:].mean(axis=1)
 
 
 def _crossings(values: Array, field: Array, pairs: NDArray[np.intp]) -> Array:

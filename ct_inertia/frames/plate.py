@@ -217,6 +217,5 @@ def _covariance(away: Array, weights: Array, normal: Array, basis: Array) -> Arr
 
 
 def jacobian(of: Callable[[PlaneFace], Array], face: PlaneFace, step: float = 1e-6) -> Array:
-    """Return the derivative of a function of a face by its height (mm) and slopes (rad), (n, 3)."""
-    base = of(face)
-    return np.column_stack([(of(face.moved(move)) - base) / step for move in np.eye(3) * step])
+    """Return the derivative by a face's height (mm) and slopes (rad), (n, 3), of what is 0 for the face."""
+    return np.column_stack([of(face.moved(move)) / step for move in np.eye(3) * step])

@@ -12,7 +12,7 @@ from ct_inertia.grey.plate_plane import FacePlane, beside_stapes
 from ct_inertia.grey.start import Start
 from ct_inertia.voxels.distance import capped_distance
 from ct_inertia.voxels.fields import Grey, blur, local_ratio, share_above
-from ct_inertia.voxels.masks import Mask, Slices, grown
+from ct_inertia.voxels.masks import Mask, Slices, grown, used_box, widened
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -315,11 +315,13 @@ def _hollows(stapes: Mask) -> Mask | None:
     """Return the closed hollows of a mask, grown by a voxel; None where there are none."""
     import cc3d
 
-    labels = cc3d.connected_components(~stapes, connectivity=6)
+    box = widened(used_box(stapes), 1)
+    labels = cc3d.connected_components(~stapes[box], connectivity=6)
     count = np.bincount(labels.ravel())
     count[0] = 0
     for axis in range(3):
         for end in (0, -1):
             count[np.unique(np.take(labels, end, axis=axis))] = 0
-    hollow = np.asarray((count > _LEAST_VOID)[labels])
+    hollow = np.zeros(stapes.shape, dtype=bool)
+    hollow[box] = (count > _LEAST_VOID)[labels]
     return grown(hollow) if hollow.any() else None

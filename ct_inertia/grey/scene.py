@@ -46,7 +46,7 @@ _BLUR_STEP = 0.6  # most change of the blur's covariance in one round, as a shar
 _LEAST_SPREAD = 0.3  # voxels^2: the blur of a voxel and of its interpolation
 _UNEVEN = 0.08  # of the variance of the blur: less is covered by the uncertainty of the blur
 _CLEAR_AIR = 0.02  # of the contrast: a medium beyond it is no air
-_LEVELS = (0.15, 0.85)  # of a local level: beyond, a body would vanish into its blur
+_LEVELS = (-0.35, 0.35)  # of a local level less one half: beyond, a body would vanish into its blur
 
 
 @dataclass
@@ -68,7 +68,7 @@ class SceneFit:
     residual : ndarray of float32
         Of the data, less the model.
     shares, bodies, levels : dict of str to ndarray of float32
-        Blurred share, sharp share and local level of each body.
+        Blurred share and sharp share of each body, and its local level less one half.
     near, boxes : list of tuple of 3 slice, dict of such lists
         Boxes around what is near the stapes, and around what the blur of each body reaches.
     places : dict of str to ndarray of int, (n,)
@@ -110,7 +110,7 @@ class SceneFit:
             inner[1:-1, 1:-1, 1:-1] = True  # all have neighbours
             fit.boxes[name] = boxes_around(there)
             fit.places[name] = np.flatnonzero(start.near & fit.side(name) & inner)
-            fit.bodies[name], fit.levels[name] = mask.astype(np.float32), np.full(mask.shape, np.float32(0.5))
+            fit.bodies[name], fit.levels[name] = mask.astype(np.float32), np.zeros(mask.shape, np.float32)
             fit.shares[name] = blur(fit.bodies[name], spread_mm2, start.spacing, fit.boxes[name])
         return fit
 
@@ -178,7 +178,7 @@ class SceneFit:
         above = self.calm[box] - self.bones(name, box)
         above -= self.media.image[box]
         above *= np.float32(1.0 / self.contrasts[name])
-        above -= self.levels[name][box]
+        above -= np.float32(0.5) + self.levels[name][box]
         return above
 
 
