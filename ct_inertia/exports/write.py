@@ -57,30 +57,32 @@ def write_files(
 ) -> tuple[str, ...]:
     """Write every file of a result into an empty folder and return their names, as in `outputs_of`."""
     content = result.content()
-    names, packed = ["mass.json", "stapes.ply"], None
-    with ThreadPoolExecutor(1) as pool:  # labels of a large scan are packed while the rest is written
+    names, files = ["mass.json", "stapes.ply"], [EXPORTS[name] for name in dict.fromkeys(exports)]
+    if needs_crop(result) and "crop" not in exports:
+        files.append(EXPORTS["crop"])
+    with ThreadPoolExecutor(2) as pool:  # labels of a large scan are packed while the rest is written
+        packed = []
         if result.body is not None and result.scan is not None:
             from ct_inertia.exports.labels import write_labels
 
-            packed = pool.submit(write_labels, stage / labels_name, result.body.labelled, result.scan)
+            packed.append(pool.submit(write_labels, stage / labels_name, result.body.labelled, result.scan))
             content = {**content, "labels_file": labels_name}
+        packed += [pool.submit(write, result, stage / file) for file, write in files]
         (stage / "mass.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         result.stapes.write(stage / "stapes.ply")
         if result.plate is not None:
             names.append("plate.ply")
             result.plate.write(stage / "plate.ply")
-        for name in dict.fromkeys([*exports, *(["crop"] if needs_crop(result) else [])]):
-            file, write = EXPORTS[name]
-            write(result, stage / file)
-            names.append(file)
+        names += [file for file, _ in files]
         if report:
             from ct_inertia.report.sections import mass_page
 
             mass_page(content, result.pictured).write(stage / REPORT)
             names.append(REPORT)
-        if packed is not None:
-            packed.result()
-            names.append(labels_name)
+        for one in packed:
+            one.result()
+    if "labels_file" in content:
+        names.append(labels_name)
     return tuple(names)
 
 

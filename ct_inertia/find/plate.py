@@ -50,7 +50,9 @@ def find_plate(scan: Scan, overview: Overview, reading: Reading, stapes: Mask) -
     grid = Grid.of(scan, grey.shape, np.zeros(3, dtype=np.int64), overview.grid.block * thin, first)
     middle = np.float32(0.5 * (reading.air + reading.plastic))
     wide = _RIM_MM + float(grid.spacing_mm.max())
-    bright = widened(used_box(grey > middle), np.ceil(4.0 * wide / grid.spacing_mm[::-1]))
+    paired = grey > middle
+    paired[1:] &= paired[:-1]  # a bright voxel alone is noise
+    bright = widened(used_box(paired), np.ceil(4.0 * wide / grid.spacing_mm[::-1]))
     grey, stapes, grid = np.ascontiguousarray(grey[bright]), stapes[bright], grid.part(bright)
     solid = smooth_noise(grey, overview.noise / reading.contrast) > np.float32(reading.between)
     from_bone = capped_distance(solid, grid.spacing_mm, 2.0 * _RIM_MM)
