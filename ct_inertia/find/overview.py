@@ -256,11 +256,7 @@ def _outside(grey: Grey, value: float, from_corners: bool) -> Mask | None:
     same = grey == np.float32(value)
     if np.count_nonzero(same) < (_LEAST_PADDING * grey.size if from_corners else _LEAST_BOX**3):
         return None
-    joined = cc3d.connected_components(same, connectivity=6)  # also slivers that are thinner than two voxels
-    facts = cc3d.statistics(joined, no_slice_conversion=True)
-    low, high = facts["bounding_boxes"][:, ::2].astype(int), facts["bounding_boxes"][:, 1::2].astype(int)
-    sides = high - low + 1
-    chosen = (np.prod(sides, axis=1) == facts["voxel_counts"]) & (sides.min(axis=1) >= _LEAST_BOX)
+    reached = np.zeros_like(same)
     if from_corners:
         solid = eroded(np.pad(same, 1, constant_values=True))[1:-1, 1:-1, 1:-1]
         labels = cc3d.connected_components(solid, connectivity=6)
@@ -268,8 +264,15 @@ def _outside(grey: Grey, value: float, from_corners: bool) -> Mask | None:
         touching = np.zeros(int(labels.max()) + 1, dtype=bool)
         touching[np.concatenate(faces)] = True
         touching[0] = False
-        for layer, near in zip(joined, grown(_taken(touching, labels)) & same, strict=True):
-            chosen[layer[near]] = True
+        reached = grown(_taken(touching, labels)) & same
+        del solid, labels
+    joined = cc3d.connected_components(same, connectivity=6)  # also slivers that are thinner than two voxels
+    facts = cc3d.statistics(joined, no_slice_conversion=True)
+    low, high = facts["bounding_boxes"][:, ::2].astype(int), facts["bounding_boxes"][:, 1::2].astype(int)
+    sides = high - low + 1
+    chosen = (np.prod(sides, axis=1) == facts["voxel_counts"]) & (sides.min(axis=1) >= _LEAST_BOX)
+    for layer, near in zip(joined, reached, strict=True):
+        chosen[layer[near]] = True
     chosen[0] = False
     outside = _taken(chosen, joined)
     enough = outside.any() and (not from_corners or np.mean(outside) >= _LEAST_PADDING)

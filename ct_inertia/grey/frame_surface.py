@@ -46,10 +46,11 @@ def body_surface(
     spread = fit.spread_in_scan_mm2 + (_INTERPOLATION + fit.smoothing**2) * cell @ cell.T
     edge = (share > _RIM[0]) & (share < _RIM[1]) & where & begin.near[window]
     rim = edge.astype(np.float32)
-    square = np.square(fit.residual[window] * np.float32(1.0 / contrast)) * rim
+    square = np.where(edge, fit.residual[window], np.float32(0.0))
+    square *= square
     width = _MISFIT_SIGMAS * fit.sigma_mm / begin.spacing
     local = local_ratio(square, rim, width, 1e-3, boxes_around(grown(edge)))
-    extra = np.sqrt(np.maximum(local - np.float32(noise**2), 0.0))
+    extra = np.sqrt(np.maximum(local / np.float32(contrast**2) - np.float32(noise**2), 0.0))
     slope = float(np.sqrt(2.0 * np.pi)) * fit.sigma_mm
     area = float(rim.sum(dtype=float)) * begin.grid.voxel_mm3 / (_RIM_WIDTHS * fit.sigma_mm)
     relative = float(np.hypot(level.sd, begin.air_sd)) / level.contrast
