@@ -110,7 +110,9 @@ def _several(studies: Sequence[Path], chosen: RunOptions, cohort: CohortOptions)
         if not chosen.quiet:
             sys.stderr.write(f"{line}\n")
 
-    runner = run_on_dask(chosen.scheduler) if chosen.scheduler else run_here(chosen.jobs)
+    figures = None if chosen.figures is None else chosen.figures.absolute()
+    on_dask = chosen.scheduler != ""
+    runner = run_on_dask(chosen.scheduler, figures) if on_dask else run_here(chosen.jobs, figures)
     out = chosen.out or Path("cohort_out")
     result = run_studies(studies, out, runner, force=chosen.force, choices=vars(cohort), report=report)
     failed = {name: end for name, end in result.ends.items() if end.code}

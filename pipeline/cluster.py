@@ -16,8 +16,8 @@ from stapeskit.faults import StapeskitError
 _CONNECT_S = 10.0
 
 
-def run_on_dask(address: str) -> Runner:
-    """Return the runner that uses the workers of a dask scheduler at ``HOST:PORT``."""
+def run_on_dask(address: str, figures: Path | None = None) -> Runner:
+    """Return the runner that uses the workers of a dask scheduler at ``HOST:PORT``, as `run_here`."""
 
     def run(studies: Mapping[str, Path], out: Path, force: bool, ended: Callable[[str, End], None]) -> None:
         try:
@@ -36,7 +36,8 @@ def run_on_dask(address: str) -> Runner:
         with client:
             names = list(studies)
             columns = ([str(studies[name]) for name in names], [str(out / name) for name in names])
-            futures = client.map(_run_order, *columns, [force] * len(names), pure=False)
+            orders = ([force] * len(names), [figures] * len(names))
+            futures = client.map(_run_order, *columns, *orders, pure=False)
             known = dict(zip(futures, names, strict=True))
             for future in as_completed(futures, loop=client.loop):
                 if future.status == "finished":
@@ -48,10 +49,10 @@ def run_on_dask(address: str) -> Runner:
     return run
 
 
-def _run_order(study: str, out: str, force: bool) -> End:
+def _run_order(study: str, out: str, force: bool, figures: Path | None) -> End:
     """Run a study on this worker."""
     if not Path(study).is_file():
         return End(
             2, f"the worker does not see {study}: workers must share the storage of studies and results."
         )
-    return run_one(Path(study), Path(out), force)
+    return run_one(Path(study), Path(out), force, figures)

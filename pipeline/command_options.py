@@ -29,13 +29,6 @@ Changes = Annotated[
 class RunOptions(Options):
     """What is run, and where results go."""
 
-    rules: ClassVar[tuple[Rule, ...]] = (
-        Rule(
-            lambda v: v.figures is not None and len(v.studies or ()) > 1,
-            Fault("--figures", "given with one study", "several", "", "Run scan2kd on each by itself"),
-        ),
-    )
-
     studies: Annotated[
         ReadFiles | None,
         Opt("study files", positional=True, repeats=True, name="study", example="study.toml"),
@@ -45,9 +38,9 @@ class RunOptions(Options):
     out: Annotated[Folder | None, Opt("default <study name>_out; cohort_out for several", _RUN)] = None
     jobs: Annotated[Count, Opt("studies at a time on this machine", _RUN)] = 1
     scheduler: Annotated[Text, Opt("HOST:PORT of a dask scheduler that runs several studies", _RUN)] = ""
-    figures: Annotated[Folder | None, Opt("folder for every figure of the report as PDF and SVG", _RUN)] = (
-        None
-    )
+    figures: Annotated[
+        Folder | None, Opt("folder for every figure of the report as PDF and SVG; one each of several", _RUN)
+    ] = None
     force: Annotated[Flag, Opt("repeat every stage; replace files that this command did not write", _RUN)] = (
         False
     )

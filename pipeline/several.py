@@ -45,16 +45,17 @@ Runner = Callable[[Mapping[str, Path], Path, bool, Callable[[str, End], None]], 
 """Runs studies by name into subfolders of a folder (every stage again where forced), reports each end."""
 
 
-def run_here(jobs: int) -> Runner:
+def run_here(jobs: int, figures: Path | None = None) -> Runner:
     """Return the runner that uses processes of this machine, ``jobs`` at a time.
 
-    Where it is interrupted, studies at work are ended and those that wait are not begun.
+    Where it is interrupted, studies at work are ended and those that wait are not begun. Each study gets a
+    subfolder of ``figures``.
     """
 
     def run(studies: Mapping[str, Path], out: Path, force: bool, ended: Callable[[str, End], None]) -> None:
         at_work = set[subprocess.Popen[bytes]]()
         with ThreadPoolExecutor(jobs) as pool:
-            orders = ((pool.submit(run_one, path, out / name, force, at_work), name)
+            orders = ((pool.submit(run_one, path, out / name, force, figures, at_work), name)
                       for name, path in studies.items())  # fmt: skip
             names = dict(orders)
             try:
@@ -70,13 +71,18 @@ def run_here(jobs: int) -> Runner:
 
 
 def run_one(
-    study: Path, out: Path, force: bool = False, at_work: set[subprocess.Popen[bytes]] | None = None
+    study: Path,
+    out: Path,
+    force: bool,
+    figures: Path | None,
+    at_work: set[subprocess.Popen[bytes]] | None = None,
 ) -> End:
     """Run one study in its own process, so that a crash or a lack of memory costs this ear alone.
 
-    ``at_work`` holds the process while it runs.
+    ``figures`` is the folder of all studies' figures, ``at_work`` holds the process while it runs.
     """
     words = [sys.executable, "-P", "-m", "pipeline.cli", str(study), "--out", str(out), "--quiet"]
+    words += [] if figures is None else ["--figures", str(figures / out.name)]
     environment = dict(os.environ)
     root = str(Path(__file__).resolve().parents[1])
     environment["PYTHONPATH"] = os.pathsep.join([root, *filter(None, [environment.get("PYTHONPATH")])])

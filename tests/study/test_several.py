@@ -39,8 +39,12 @@ def test_a_failed_ear_stands_in_the_table_with_its_reason(
         names.append(folder / "study.toml")
     (tmp_path / "two" / "scan.nrrd").write_bytes(b"NRRD0004\nbroken")
     shutil.copytree(finished.out, tmp_path / "out" / "one")  # its scan is not measured again
-    outcome = work([*map(str, names), "--out", str(tmp_path / "out"), "--jobs", "2"])
+    pictures = tmp_path / "pictures"
+    words = ["--out", str(tmp_path / "out"), "--jobs", "2", "--figures", str(pictures)]
+    outcome = work([*map(str, names), *words])
     assert outcome is not None
+    assert [path.name for path in pictures.iterdir()] == ["one"]
+    assert {path.suffix for path in (pictures / "one").iterdir()} >= {".pdf", ".svg"}
     assert dict(outcome.rows)["failed"] == "two"
     assert len(capsys.readouterr().err.splitlines()) == 2
     table = pd.read_csv(tmp_path / "out" / "cohort.csv", dtype=str).fillna("")
