@@ -84,8 +84,8 @@ def read_vibrometer(
     StapeskitError
         The file is missing, damaged, of no known format, or holds no motion with a phase.
     """
-    from kinematics.readers.facts import FileFacts
     from kinematics.readers.formats import read_file
+    from kinematics.readers.stated_by_user import FileFacts
 
     return read_file(
         Path(path), FileFacts(n_avg=n_avg, channels=None if channels is None else Path(channels))

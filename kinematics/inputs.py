@@ -13,7 +13,7 @@ from kinematics.options import NONE, MotionOptions
 from kinematics.place.fiducials import Fiducials, read_fiducials
 from kinematics.place.placement import check_frame, fit_fiducials
 from kinematics.readers.assemble import read_measurement
-from kinematics.readers.facts import FileFacts
+from kinematics.readers.stated_by_user import FileFacts
 from stapeskit.faults import Fault, StapeskitError, collect_faults, list_some, raise_all
 from stapeskit.records.mass_record import MassRecord
 

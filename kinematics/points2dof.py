@@ -33,8 +33,8 @@ from kinematics.options import MotionOptions
 from kinematics.place.errors import ErrorEstimate, agreement, with_errors
 from kinematics.place.fiducials import Fiducials
 from kinematics.place.handedness import check_positions
-from kinematics.place.moved import SurfaceCheck, check_extent, check_surfaces, far_away
 from kinematics.place.placement import Placement, place
+from kinematics.place.points_on_bone import SurfaceCheck, check_extent, check_surfaces, far_away
 from kinematics.place.shared_errors import correction_of, shared_errors
 from kinematics.place.surfaces import surfaces_of
 from kinematics.repeats import pool_repeats

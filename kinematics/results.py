@@ -12,8 +12,8 @@ from kinematics.faults.verdicts import ChannelVerdict, write_channels
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import Measurement
 from kinematics.place.errors import ErrorEstimate
-from kinematics.place.moved import SurfaceCheck
 from kinematics.place.placement import Placement
+from kinematics.place.points_on_bone import SurfaceCheck
 from kinematics.place.surfaces import Surface
 from kinematics.repeats import RepeatedRun
 from stapeskit.outputs import Outputs

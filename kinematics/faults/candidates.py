@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from kinematics.faults.kinds import Finding, Place, free, places
+from kinematics.faults.fault_kinds import Finding, Place, free, places
 from kinematics.faults.rounds import Round
 from kinematics.joint.estimate import State, joint
 from kinematics.joint.tangents import Geometry

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinematics.faults.kinds import KINDS, TREATMENTS, Finding, Place, free
+from kinematics.faults.fault_kinds import KINDS, TREATMENTS, Finding, Place, free
 from kinematics.faults.search import Diagnosis
 from kinematics.faults.sentences import culprit, describe
 from kinematics.joint.estimate import joint

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinematics.faults.kinds import KINDS, SHARE, Place, places
+from kinematics.faults.fault_kinds import KINDS, SHARE, Place, places
 from kinematics.faults.scores import Noise, Test, informations, score_tests
 from kinematics.faults.unstated_noise import unknown_noise
 from kinematics.joint.estimate import Estimate, State, joint

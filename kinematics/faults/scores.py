@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinematics.faults.kinds import KINDS, Place
+from kinematics.faults.fault_kinds import KINDS, Place
 from kinematics.joint.estimate import State, system
 from kinematics.joint.tangents import Parameters
 from stapeskit.arrays import Array

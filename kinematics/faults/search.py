@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinematics.faults.candidates import fit_candidates
-from kinematics.faults.kinds import Finding, Place, free
+from kinematics.faults.fault_kinds import Finding, Place, free
 from kinematics.faults.other_causes import Cause, other_causes
 from kinematics.faults.rounds import Round, null_fit
 from kinematics.faults.scores import pattern_gain

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from kinematics.faults.kinds import Finding, is_reversed
+from kinematics.faults.fault_kinds import Finding, is_reversed
 from kinematics.joint.tangents import normals
 from kinematics.measurement import BodyChannels, direction_name
 from stapeskit.arrays import Array

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from kinematics.measurement import BodyChannels, Measurement, Repeat
-from kinematics.readers.facts import FileFacts, with_bodies, with_runs
 from kinematics.readers.formats import format_of, read_file
+from kinematics.readers.in_si import on_one_grid, twice_faults
 from kinematics.readers.lines import check_filled
 from kinematics.readers.points import Points, read_points
 from kinematics.readers.recording import QUANTITY_OF_ORDER, Recording, Row
-from kinematics.readers.settle import on_one_grid, twice_faults
+from kinematics.readers.stated_by_user import FileFacts, with_bodies, with_runs
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, collect_faults, list_some, raise_all
 from stapeskit.warnings import Notice, once

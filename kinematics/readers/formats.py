@@ -20,8 +20,8 @@ from stapeskit.faults import StapeskitError
 from stapeskit.tables import decoded
 
 if TYPE_CHECKING:
-    from kinematics.readers.facts import FileFacts
     from kinematics.readers.recording import Recording
+    from kinematics.readers.stated_by_user import FileFacts
 
 _LIMIT_S, _LIMIT_S_PER_BYTE = 5.0, 2e-6  # of processor time: pyuff takes 0.1e-6 s a byte of text
 _HEAD_BYTES = 1 << 16  # holds the header of every known format
@@ -130,9 +130,9 @@ def read_file(path: Path, facts: FileFacts) -> Recording:
     Raises
     ------
     StapeskitError
-        There is no such file, nothing known is in it, or it is damaged; as `kinematics.readers.settle`.
+        There is no such file, nothing known is in it, or it is damaged; as `kinematics.readers.in_si`.
     """
-    from kinematics.readers.settle import settled
+    from kinematics.readers.in_si import settled
     from stapeskit.sandbox import read_apart, size_on_disk
 
     path = path if path.name else path.resolve()  # the folder "." has no name

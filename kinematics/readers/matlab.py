@@ -17,8 +17,8 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.readers.facts import FileFacts, direction_of
 from kinematics.readers.recording import NOISE, Recording, Row, from_parts, unknown_vector
+from kinematics.readers.stated_by_user import FileFacts, direction_of
 from kinematics.readers.text import plain_name
 from kinematics.readers.tree import OPAQUE, read_tree
 from kinematics.readers.units import LENGTHS

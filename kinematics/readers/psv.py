@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from kinematics.readers.facts import FileFacts
 from kinematics.readers.recording import Recording, Row, unknown_vector
 from kinematics.readers.sheets import Sheet, sheets_of
+from kinematics.readers.stated_by_user import FileFacts
 from kinematics.readers.text import export_files
 from kinematics.readers.units import HERTZ, LENGTHS, is_none, plain
 from kinematics.readers.wide import frequencies_of, left_out_notices, rows_of

@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kinematics.readers.facts import FileFacts, direction_of, is_file
 from kinematics.readers.points import POSITION, read_named, text_of
 from kinematics.readers.recording import Recording, Row, unknown_vector
+from kinematics.readers.stated_by_user import FileFacts, direction_of, is_file
 from kinematics.readers.text import plain_name, shown
 from kinematics.readers.tree import read_tree
 from kinematics.readers.units import SI_UNITS, MotionUnit, is_none, motion_unit, plain

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kinematics.readers.facts import FileFacts
 from kinematics.readers.recording import Recording, Row, unknown_vector
+from kinematics.readers.stated_by_user import FileFacts
 from kinematics.readers.units import MotionUnit
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Place, StapeskitError

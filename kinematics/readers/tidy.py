@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.readers.facts import FileFacts
+from kinematics.readers.in_si import DECIBELS
 from kinematics.readers.points import POSITION, cell_faults, text_of
 from kinematics.readers.recording import Recording, Row, from_parts, from_polar, unknown_vector
-from kinematics.readers.settle import DECIBELS
+from kinematics.readers.stated_by_user import FileFacts
 from kinematics.readers.text import plain_name, shown
 from kinematics.readers.units import MotionUnit
 from stapeskit.arrays import Array

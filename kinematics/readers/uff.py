@@ -18,9 +18,9 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from kinematics.readers.facts import FileFacts
+from kinematics.readers.in_si import ONE_EXCITATION
 from kinematics.readers.recording import Recording, Row, unknown_vector
-from kinematics.readers.settle import ONE_EXCITATION
+from kinematics.readers.stated_by_user import FileFacts
 from kinematics.readers.text import CUT, shown
 from kinematics.readers.uff_geometry import Dataset, nodes_of
 from kinematics.readers.units import HERTZ, MotionUnit, is_none, motion_unit, plain

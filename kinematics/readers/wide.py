@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from kinematics.readers.facts import FileFacts
+from kinematics.readers.in_si import DECIBELS
 from kinematics.readers.recording import Recording, Row, from_parts, from_polar
-from kinematics.readers.settle import DECIBELS
 from kinematics.readers.sheets import Sheet, sheets_of
+from kinematics.readers.stated_by_user import FileFacts
 from kinematics.readers.text import plain_name
 from kinematics.readers.units import HERTZ, PHASES, motion_unit
 from stapeskit.arrays import Array

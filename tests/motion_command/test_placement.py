@@ -9,8 +9,8 @@ import pytest
 
 from kinematics.place.fiducials import FRAMES, Fiducials, read_fiducials
 from kinematics.place.handedness import axes_changes
-from kinematics.place.moved import check_surfaces
 from kinematics.place.placement import place
+from kinematics.place.points_on_bone import check_surfaces
 from kinematics.place.surfaces import surfaces_of
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform, rotation_from_vector

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from kinematics.readers.assemble import assemble, read_measurement
-from kinematics.readers.facts import FileFacts
+from kinematics.readers.in_si import settled
 from kinematics.readers.lines import common_grid
 from kinematics.readers.points import read_points
 from kinematics.readers.recording import Recording, Row
-from kinematics.readers.settle import settled
+from kinematics.readers.stated_by_user import FileFacts
 from kinematics.readers.units import MotionUnit, motion_unit
 from stapeskit.faults import StapeskitError
 from tests.motion_files.written_files import FREQ_HZ, PLACES_M, VELOCITY, tidy_table, universal_file

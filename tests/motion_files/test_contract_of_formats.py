@@ -5,8 +5,8 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
-from kinematics.readers.facts import FileFacts
 from kinematics.readers.formats import FORMATS, format_of, read_file
+from kinematics.readers.stated_by_user import FileFacts
 from stapeskit.faults import StapeskitError
 from tests.motion_files.written_files import FREQ_HZ, OTHERS, PLACES_M, VELOCITY, WRITERS
 

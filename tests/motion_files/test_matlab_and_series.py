@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from kinematics.readers.facts import FileFacts
 from kinematics.readers.formats import read_file
+from kinematics.readers.stated_by_user import FileFacts
 from stapeskit.faults import StapeskitError
 from tests.motion_files.written_files import FREQ_HZ, PLACES_M, VELOCITY, matlab_variables, v73
 

@@ -9,8 +9,8 @@ import pytest
 
 import kinematics
 from kinematics.api import read_vibrometer
-from kinematics.readers.facts import FileFacts
 from kinematics.readers.formats import read_file
+from kinematics.readers.stated_by_user import FileFacts
 from stapeskit.faults import StapeskitError
 
 DATA = Path(__file__).parent / "data"

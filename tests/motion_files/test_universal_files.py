@@ -10,8 +10,8 @@ import kinematics
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from kinematics.readers.assemble import read_measurement
-from kinematics.readers.facts import FileFacts
 from kinematics.readers.formats import read_file
+from kinematics.readers.stated_by_user import FileFacts
 from stapeskit.faults import StapeskitError
 from tests.motion_files.written_files import (
     COHERENCE,

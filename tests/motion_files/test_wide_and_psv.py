@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from kinematics.readers.assemble import read_measurement
-from kinematics.readers.facts import FileFacts
 from kinematics.readers.formats import read_file
+from kinematics.readers.stated_by_user import FileFacts
 from kinematics.readers.wide import meaning
 from stapeskit.faults import StapeskitError
 from tests.motion_files.written_files import FREQ_HZ, PLACES_M, VELOCITY, fastscan, point_block, wide_table

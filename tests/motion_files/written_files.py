@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 from scipy.io import savemat
 
-from kinematics.readers.facts import FileFacts
+from kinematics.readers.stated_by_user import FileFacts
 
 FREQ_HZ = np.array([400.0, 650.0, 900.0, 1150.0])
 PLACES_M = 1e-3 * np.array([[1.2, 0.1, 0.0], [-1.1, 0.2, 0.3], [0.4, 3.0, -0.5]])

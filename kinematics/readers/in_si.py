@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinematics.readers.facts import FileFacts, with_facts
 from kinematics.readers.lines import SAME_LINE, check_filled, common_grid
 from kinematics.readers.noise import with_noise
 from kinematics.readers.recording import NOISE, Recording, Row, from_parts
+from kinematics.readers.stated_by_user import FileFacts, with_facts
 from kinematics.readers.text import shown
 from kinematics.readers.units import HERTZ, MOTIONS, MotionUnit, motion_unit
 from stapeskit.faults import Fault, Place, list_some, raise_all
