@@ -2,7 +2,9 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -12,6 +14,8 @@ from pipeline.cohort.laws import LEAST_EARS
 from pipeline.cohort.page import FILES
 from stapeskit.faults import StapeskitError
 from tests.cohort.simulated_ears import ear
+
+SCHEMA = Path(__file__).parents[2] / "docs/schemas/cohort.schema.json"
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -160,8 +164,12 @@ def test_folders_are_read_and_the_page_table_and_json_are_written(ears, tmp_path
     paths = found.write(tmp_path / "out")
     assert {path.name for path in paths} == set(FILES)
     content = json.loads((tmp_path / "out" / "cohort.json").read_text())
+    schema = json.loads(SCHEMA.read_text(encoding="utf-8"))
+    jsonschema.validate(content, schema)
     assert content["laws"]
-    assert content["schema"] == "stapeskit.cohort/1"
+    for name in ("independent_parameters", None):  # nothing is promised that is not written
+        promised = schema["properties"][name] if name else schema
+        assert set(promised["properties"]) == set(content[name] if name else content)
     table = (tmp_path / "out" / "cohort.csv").read_text().splitlines()
     assert len(table) == 1 + len(ears)
     assert "ear 0" in repr(found) or "Cohort of 9 ears" in repr(found)
