@@ -44,7 +44,7 @@ class Outputs:
         StapeskitError
             The folder is a file, or an output is a folder, an input (also by a link) or a foreign file.
         """
-        step = "Choose another output folder"
+        step = "Choose another folder or name (--out)"
         there = next(parent for parent in (self.folder, *self.folder.parents) if os.path.lexists(parent))
         if not there.is_dir():
             raise StapeskitError.of("the output folder", "a folder", f"the file {there}", "", step)
