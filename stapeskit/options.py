@@ -227,7 +227,11 @@ def unknown(name: str, known: Sequence[str], where: str = "") -> Fault:
     """Return the fault of a name that no option, or key of a file ``where``, has, with the nearest one."""
     by_word = {word.rpartition(".")[2].lstrip("-").replace("_", "-"): word for word in known}
     near = difflib.get_close_matches(name.lstrip("-").replace("_", "-"), by_word, 1)
-    step = f"Did you mean {by_word[near[0]]}?" if near else "docs/options.md lists them all"
+    step = (
+        f"Did you mean {by_word[near[0]]}?"
+        if near
+        else "docs/options.md lists them all, CHANGELOG.md those that were dropped"
+    )
     kind = "key" if where.endswith(".toml") else "option"
     return Fault(name, f"a known {kind}", "an unknown one", where, step)
 
