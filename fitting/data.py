@@ -151,7 +151,8 @@ def data_of(
     q, noise, freq_hz, dropped = whole[keep], noise[keep], motion.freq_hz[line], int(np.sum(inside & ~keep))
     measured = np.any(np.stack([np.all(part, axis=2) for part in np.split(finite, 2, axis=2)]), axis=1)
     if not np.any(np.all(finite, axis=2)):
-        got, step = lines_measured((structure, base), measured), "Measure all on one grid"
+        got = lines_measured((structure, base), measured)
+        step = "Measure all on one grid; lines of nothing but zeros were not measured"
         raise StapeskitError.of("the lines of structure and base", "the same", got, "", step)
     _check_lines(freq_hz, dof, band_hz, motion.freq_hz, dropped)
     rows = [motion.dof.index(name) for name in dof]

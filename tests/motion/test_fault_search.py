@@ -10,6 +10,7 @@ from kinematics.faults.rounds import detectable
 from kinematics.faults.search import diagnose
 from kinematics.faults.verdicts import WORDS, channel_verdicts, fault_notices, write_channels
 from kinematics.fit.few_averages import with_steady_noise
+from kinematics.measurement import BodyChannels
 from simulate import KINDS as SIMULATED
 from stapeskit.spatial import DOF_NAMES
 from tests.motion.bodies import as_measurement, fitted, recorded
@@ -103,6 +104,22 @@ def test_noise_from_coherence_of_few_averages_raises_few_alarms(averages):
         squares.append(np.mean(np.abs((fit.q - recording.motion_m["stapes"][0]) / sd) ** 2) / 2.0)
     assert alarms <= 2
     assert np.mean(squares) == pytest.approx(1.0, abs=0.06)
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_noise_of_few_averages_follows_the_amplitude_where_it_does(share):
+    """White noise, and noise in proportion to a sharp resonance: a pool that smears it is 8 times off."""
+    averages, shape = 5, (100, 1, 120)
+    rng, freq_hz = np.random.default_rng(11), np.geomspace(200.0, 6000.0, 120)
+    amplitude = np.abs(1.0 / (1.0 - (freq_hz / 2000.0) ** 2 + 0.03j * freq_hz / 2000.0))
+    truth = 0.05 * amplitude**share
+    stated = truth * np.sqrt(rng.chisquare(2 * (averages - 1), shape) / (2 * averages))
+    body = BodyChannels(
+        "stapes", ("1",), np.zeros((1, 3)), np.eye(3)[:1], np.broadcast_to(amplitude + 0j, shape), stated,
+        averages=np.array([float(averages)]),
+    )  # fmt: skip
+    found = np.sqrt(np.mean(with_steady_noise(body).sd ** 2, axis=(0, 1)))
+    assert found == pytest.approx(truth, rel=0.1)
 
 
 def test_stated_errors_of_positions_are_expected():
