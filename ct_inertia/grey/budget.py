@@ -24,8 +24,10 @@ _TAIL_SD = calibrated("separation.tail_sd")
 _CLEARLY = 12.0  # log-likelihood by which a coat that nobody stated must fit better: 1 in 160 000
 _LEAST_BEND, _BEND_Z = 0.03, 5.0  # a sharp picture without noise leaves 0.01; standard deviations
 _BENT, _LEAST_EDGE = (1e-3, 0.999), 400  # shares of bone, and voxels of edges that show a bend
+_RESOLVED = 0.9  # width of the blur, voxels: at 0.85 sampling leaves a bend of 0.02, at 0.7 one of 0.1
+_LEAST_RATIO = 0.1  # of noises: a surface that follows noise takes up to 0.03 of that in bone
 _CELL_VOXELS = 6  # edge of the cells whose means show how well the level of plastic is known
-_DEEP, _LEAST_DEEP = 0.95, 100  # share of plastic, and voxels, that show how well its level is known
+_DEEP, _LEAST_DEEP = 0.95, 100  # share of a body, and voxels, that show its level or noise
 
 
 def unstated_coat(parts: StapesParts, moments: Moments) -> Grey | None:
@@ -139,12 +141,17 @@ def grey_scale_bend(fit: SceneFit) -> float:
     -----
     At a plane edge of the share x = Phi(t) a surface out of place, a wrong blur, a wrong contrast and fringes
     leave phi(t), t phi(t), x and (t^3 - 3 t) phi(t): its derivatives along the normal. The rest of x (1 - x),
-    even in t, is the bend's own. Where clipping or coarse steps were undone, it is not looked for.
+    even in t, is the bend's own. Where clipping or coarse steps were undone, it is not looked for; blurs too
+    narrow for the voxels, or for blocks of fine ones, leave such a trace as well: there noise shows it.
     """
     from scipy.special import ndtri
 
+    if fit.storing is not None:
+        return 0.0
+    if np.any(fit.widths_mm < _RESOLVED * fit.start.spacing):
+        return _bend_by_noise(fit)
     places = free_edges(fit, _BENT)
-    if fit.storing is not None or len(places) < _LEAST_EDGE:
+    if len(places) < _LEAST_EDGE:
         return 0.0
     share = fit.shares["stapes"].ravel()[places].astype(float)
     t = ndtri(share)
@@ -156,6 +163,20 @@ def grey_scale_bend(fit: SceneFit) -> float:
     square = float(np.mean((residual - factors @ rows) ** 2)) * max(fit.start.correlation, 1.0)
     bend, sd = float(factors[-1]), float(np.sqrt(max(inverse[-1, -1], 0.0) * square))
     return bend if abs(bend) > max(_LEAST_BEND, _BEND_Z * sd) else 0.0
+
+
+def _bend_by_noise(fit: SceneFit) -> float:
+    """Return the bend where noise in air is more than in bone; less has other causes.
+
+    The slopes of x + b x (1 - x), 1 + b in air and 1 - b in bone, are the ratio of the noises.
+    """
+    inside = fit.own & (fit.shares["stapes"] > _DEEP)
+    count = np.count_nonzero(inside) / fit.start.correlation
+    if count < _LEAST_DEEP:
+        return 0.0
+    ratio = fit.start.noise / max(float(np.std(fit.residual[inside])), 1e-30)
+    known = ratio > 1.0 + max(_LEAST_RATIO, 4.0 / np.sqrt(2.0 * count))
+    return float((ratio - 1.0) / (ratio + 1.0)) if known else 0.0
 
 
 def with_sources(
