@@ -19,7 +19,7 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.anatomy import AnatomyHints
 from ct_inertia.frames.footplate import FootplateFrame, footplate_frame, pose_near
 from ct_inertia.frames.gap import FARTHEST_MM, WindowGap, window_gap
-from ct_inertia.frames.plate_frame import PlateFrame, plate_frame
+from ct_inertia.frames.plate_frame import MOST_SUNK, PlateFrame, plate_frame
 from ct_inertia.inputs import Inputs
 from ct_inertia.mass.properties import point_masses
 from ct_inertia.mass.sizes import impossible, measured_sizes, unsuitable, unusual_notice
@@ -297,11 +297,14 @@ def _plate_frame(work: _Work, moments: Moments) -> PlateFrame | None:
         return None
     labelled, plate = work.measured.labelled, work.measured.plate
     region, text = labelled.plate_region, "No plate was found beside the stapes"
-    if plate is not None:
-        cell = 0.0 if region is None else float(np.linalg.norm(region.scan_from_index[:3, 0]))
+    if plate is not None and region is not None:
+        cell = float(np.linalg.norm(region.scan_from_index[:3, 0]))
         pose = plate_frame(work.measured.plate_faces, moments.centroid_mm, _PLATE_SHIFT * cell)
-        if pose is not None:
-            if region is not None and region.one_of_several:
+        sunk = 0.0
+        if pose is not None and not region.named:
+            sunk = pose.share_behind(labelled.box.scan_points(np.argwhere(labelled.stapes)[:, ::-1]))
+        if pose is not None and sunk <= MOST_SUNK:
+            if region.one_of_several:
                 several = (
                     "The scan holds several bodies of plastic; the one nearest to the stapes was taken for "
                     "the plate. If it is another one, label it (--labels) or give --plate-fiducials."
@@ -309,7 +312,9 @@ def _plate_frame(work: _Work, moments: Moments) -> PlateFrame | None:
                 work.notices.append(Notice("plate_uncertain", several))
             return pose
         text = "The plastic beside the stapes has no plane face with plane sides towards it (a tube has none)"
-        if region is None or not region.named:
+        if sunk > MOST_SUNK:
+            text = f"What is as bright as plastic covers {100.0 * sunk:.0f} % of the stapes, as a fluid does"
+        if not region.named:
             text += ", and counts as no plate"
             work.measured = replace(work.measured, plate=None)
     text += (

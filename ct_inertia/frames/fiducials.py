@@ -8,18 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
-from ct_inertia.frames.plate_frame import PlateFrame, axis_notices, positive_sense
+from ct_inertia.frames.plate_frame import PlateFrame, axis_notices, centroid, positive_sense
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.frames import RigidTransform, axes_matrix
-from stapeskit.registration import fit_rigid
+from stapeskit.registration import displacement, fit_rigid
 from stapeskit.tables import read_table
 
 _SCAN = ("x_mm", "y_mm", "z_mm")
 _PLATE = ("x_ref_mm", "y_ref_mm", "z_ref_mm")
 _SIZES_MM = (0.5, 100.0)  # of what the points span: a plate of some millimetres, typed in mm
 _FARTHEST = 5.0  # distance of the stapes from their middle, in what they span: the plate lies beside it
-_LEAST_SD_MM = 1e-3  # of corners typed to a micrometre that happen to lie in one plane
+_LEAST_CORNERS, _FLAT_MM, _APART_SD = 4, 0.1, 4.0  # of a face; how far corners may be off its plane
+_HAND_SD_MM = 0.03  # of points set by hand in a scan: some hundredths of a millimetre
+_STEP_MM = 1e-6  # of finite differences
+_REFERENCES = "give x_ref_mm, y_ref_mm, z_ref_mm"
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,7 @@ def plate_frame_from_fiducials(fiducials: PlateFiducials, stapes_mm: Array) -> P
     ----------
     fiducials : PlateFiducials
         With coordinates in the plate frame: a rigid fit. Without: corners of the plate's face in any order;
-        y out of their plane towards the stapes, x along the longest side, origin their centroid.
+        y out of their plane towards the stapes, x along the longest side, origin the centroid of the face.
     stapes_mm : ndarray, (3,)
         A point of the stapes, scan coordinates.
 
@@ -100,7 +103,7 @@ def plate_frame_from_fiducials(fiducials: PlateFiducials, stapes_mm: Array) -> P
     ------
     StapeskitError
         Points on a line, far from the stapes, or that fit only as a mirror image; points in one plane that
-        have the stapes behind the plate.
+        have the stapes behind the plate; fewer than 4 corners, or corners off one plane.
     """
     _check_place(fiducials.scan_mm, stapes_mm)
     if fiducials.plate_mm is None:
@@ -135,28 +138,53 @@ def _check_place(points_mm: Array, stapes_mm: Array) -> None:
 
 
 def _from_corners(fiducials: PlateFiducials, stapes_mm: Array) -> PlateFrame:
-    points = fiducials.scan_mm
-    centre = points.mean(axis=0)
-    _, size, axes = np.linalg.svd(points - centre)
+    """Return the frame of a face by its corners, in any order, with the covariance that theirs give it."""
+    from scipy.spatial import ConvexHull
+
+    points, sd = fiducials.scan_mm, fiducials.sd_mm
+    sd = np.full(len(points), _HAND_SD_MM) if sd is None else sd
+    away = points - points.mean(axis=0)
+    _, size, axes = np.linalg.svd(away)
     if size[1] < 1e-3 * size[0]:
-        step = "Add a point off that line"
-        thing = "the points of --plate-fiducials"
-        raise StapeskitError.of(thing, "corners of a face", "points on a line", next_step=step)
-    normal = axes[2] * (np.sign(axes[2] @ (stapes_mm - centre)) or 1.0)
-    flat = (points - centre) @ axes[:2].T
-    ring = points[np.argsort(np.arctan2(flat[:, 1], flat[:, 0]))]
-    sides = np.roll(ring, -1, axis=0) - ring
+        raise _no_face("points on a line", "Add a point off that line")
+    ring = ConvexHull(away @ axes[:2].T).vertices
+    if len(ring) < _LEAST_CORNERS:
+        raise _no_face(
+            f"{len(ring)}, whose middle is not that of the face", f"Add the others, or {_REFERENCES}"
+        )
+    off = float(np.max(np.abs(away @ axes[2])))
+    if off > max(_FLAT_MM, _APART_SD * float(sd.max())):
+        raise _no_face(
+            f"points {off:.2g} mm off their plane", f"Leave out what is no corner, or {_REFERENCES}"
+        )
+    corners = points[ring]
+    sides = np.roll(corners, -1, axis=0) - corners
     lengths = np.linalg.norm(sides, axis=1)
-    longest = sides[int(np.argmax(lengths))]
-    frame = axes_matrix(positive_sense(longest - (longest @ normal) * normal), normal)
-    square = np.abs(sides @ longest) < 0.7 * lengths * lengths.max()
-    ratio = float(np.max(lengths[square], initial=0.0) / lengths.max())
-    transform = RigidTransform.from_parts(frame, centre, "scan", "plate")
-    local = transform.inverse().points(points)
-    sd = fiducials.sd_mm
-    if sd is None:  # the scatter of the corners about their plane
-        scatter = float(np.sqrt(np.sum(local[:, 1] ** 2) / max(len(local) - 3, 1)))
-        sd = np.full(len(local), max(scatter, _LEAST_SD_MM))
-    fit = fit_rigid(local, points, sd, to="scan", source="plate")
-    notices = tuple(axis_notices(frame[:, 0], ratio, "side between the --plate-fiducials"))
-    return PlateFrame(transform, fit.covariance_si, ring, False, "fiducials", notices)
+    along = int(np.argmax(lengths))
+    pose = _corner_pose(corners, along, stapes_mm)
+    covariance = np.zeros((6, 6))
+    for corner, axis in np.ndindex(corners.shape):
+        moved = corners.copy()
+        moved[corner, axis] += _STEP_MM
+        step = displacement(pose, _corner_pose(moved, along, stapes_mm)) * sd[ring[corner]] / _STEP_MM
+        covariance += np.outer(step, step)
+    square = np.abs(sides @ sides[along]) < 0.7 * lengths * lengths[along]
+    ratio = float(np.max(lengths[square], initial=0.0) / lengths[along])
+    notices = tuple(axis_notices(pose.rotation[:, 0], ratio, "side between the --plate-fiducials"))
+    return PlateFrame(pose, covariance, corners, False, "fiducials", notices)
+
+
+def _corner_pose(corners: Array, along: int, stapes_mm: Array) -> RigidTransform:
+    """Return scan_from_plate of a face by its corners (n, 3) in order; x along the side after ``along``."""
+    middle = corners.mean(axis=0)
+    axes = np.linalg.svd(corners - middle)[2]
+    normal = axes[2] * (np.sign(axes[2] @ (stapes_mm - middle)) or 1.0)
+    side = corners[(along + 1) % len(corners)] - corners[along]
+    frame = axes_matrix(positive_sense(side - (side @ normal) * normal), normal)
+    origin = middle + axes[:2].T @ centroid((corners - middle) @ axes[:2].T)
+    return RigidTransform.from_parts(frame, origin, "scan", "plate")
+
+
+def _no_face(got: str, step: str) -> StapeskitError:
+    expected = f"at least {_LEAST_CORNERS} corners of the plate's face"
+    return StapeskitError.of("the points of --plate-fiducials", expected, got, next_step=step)

@@ -31,6 +31,7 @@ EDGE_MM = 0.04
 
 _DEPTH_MM, _DEEPER = 0.6, 1.5  # of the region around a footplate; deeper where the face reaches its end
 _CONE_TURN = 0.05  # turn of y (rad) after which that part is cut anew: a third of its margin
+_MOST_MM2 = 150.0  # of that part: all of a stapes has a third; memory grows with it at fixed edges
 _ROUNDS, _STILL_RAD = 60, 1e-5  # of the fixed point and of its plane: a hundredth of what noise leaves
 
 
@@ -125,6 +126,9 @@ def region_around(surface: Surface, outward: Array, depth_mm: float, body: BodyS
     points, faces = surface.vertices_mm - middle, surface.faces
     limit = float((points @ outward).max()) - depth_mm
     points, faces = chosen_part(points, faces, np.any((points @ outward > limit)[faces], axis=1))
+    area = float(np.linalg.norm(Surface(points, faces).area_vectors_mm2, axis=1).sum())
+    if area > _MOST_MM2:
+        raise no_face(f"{area:.0f} mm2 of surface at that end, too large for a stapes")
     corners = points[faces]
     edge = float(np.median(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=-1)))
     points, faces = refined(points, faces, EDGE_MM)

@@ -24,6 +24,9 @@ from stapeskit.warnings import Notice
 AMBIGUOUS = 0.95
 """Ratio of two edges from which it is ambiguous which one is the longest (contract)."""
 
+MOST_SUNK = 0.15
+"""Share of the stapes behind the face of a plate: what covers more of it is a fluid."""
+
 _LEAST_EDGE_MM = 0.5
 _STEEP, _BORDER_STEEP = 0.2, 0.995  # cosine to the main face up to which a side, or the border, ends it
 _COVERED = 0.9  # cosine from which two directions are taken for one
@@ -60,6 +63,14 @@ class PlateFrame:
     cropped: bool
     source: str
     notices: tuple[Notice, ...] = field(default=())
+
+    def share_behind(self, points_mm: Array) -> float:
+        """Return the share of points (n, 3), scan coordinates, that lie behind the visible face."""
+        from scipy.spatial import Delaunay
+
+        outline, points = map(self.scan_from_plate.inverse().points, (self.outline_mm, points_mm))
+        below = Delaunay(outline[:, [0, 2]]).find_simplex(points[:, [0, 2]]) >= 0
+        return float(np.mean(below & (points[:, 1] < 0.0)))
 
 
 @dataclass(frozen=True)
@@ -156,7 +167,7 @@ def _pose(main: PlaneFace, sides: Sequence[PlaneFace], along: int | None = None)
         direction = np.eye(3)[int(abs(normal[0]) > _COVERED)]
         direction = direction - (direction @ normal) * normal
     corners = main.point_mm + polygon @ plane.T
-    origin = main.point_mm + plane @ _centroid(polygon)
+    origin = main.point_mm + plane @ centroid(polygon)
     return _Pose(axes_matrix(positive_sense(direction), normal), origin, corners, lengths, owners, along)
 
 
@@ -207,7 +218,8 @@ def _polygon(points: Array, lines: Sequence[tuple[Array, float]]) -> tuple[Array
     return corners, np.where(owners < len(lines), owners, -1)
 
 
-def _centroid(polygon: Array) -> Array:
+def centroid(polygon: Array) -> Array:
+    """Return the centroid (2,) of the area within a polygon (n, 2)."""
     x, y = polygon.T
     x2, y2 = np.roll(polygon, -1, axis=0).T
     cross = x * y2 - x2 * y

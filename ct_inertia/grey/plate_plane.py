@@ -14,6 +14,7 @@ import numpy as np
 
 from ct_inertia.bodies import Labelled
 from ct_inertia.frames.plate import PlaneFace
+from ct_inertia.frames.plate_frame import MOST_SUNK
 from ct_inertia.surface.contour import contour
 from ct_inertia.surface.surface import Surface
 from ct_inertia.voxels.fields import Grey, blur
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from ct_inertia.grey.start import Start
 
 _LEAST_MM2 = 0.5  # of a plate's face: a fluid that is taken for a plate has smaller ones
-_MOST_SUNK = 0.15  # of the stapes behind the plane: what covers more of it is a fluid
 _ABOUT_SIGMAS = 2.0  # widths of the blur around the plate's mask in which its body follows the plane
 _LEAST_VOXELS = 100  # that show the plane next to the stapes
 _CLEAR = 0.3  # share of the stapes in a voxel from which it says nothing about the plane
@@ -87,7 +87,7 @@ class FacePlane:
             return None
         plane = planes[int(np.argmax(told))]
         sunk = float(np.mean(plane.depth(stapes.shape)[stapes] > 0.0))
-        return replace(plane, wets=sunk > _MOST_SUNK)
+        return replace(plane, wets=sunk > MOST_SUNK)
 
     def depth(self, shape: tuple[int, ...], start: tuple[int, ...] = (0, 0, 0)) -> Grey:
         """Return the depth below the face, mm, positive in plastic, in a window that begins at ``start``."""

@@ -232,6 +232,12 @@ def test_a_level_that_errs_moves_the_origin_by_its_shift() -> None:
     np.testing.assert_allclose(sd, [0.0, 4e-6, 0.0, 0.0, 0.0, 0.0])
 
 
+def test_a_body_far_larger_than_a_stapes_is_refused_before_memory_is_taken_for_it() -> None:
+    with pytest.raises(StapeskitError) as error:
+        footplate_frame(surface_of(Stapes(scale=8.0)))
+    assert error.value.faults[0].thing == "the surface"
+
+
 def test_a_round_footplate_has_no_long_axis() -> None:
     column = rod([0.0, 0.0, 0.0], [0.0, 3.0, 0.0], 1.3, 60)
     frame = footplate_frame(Surface(column.vertices_mm, column.faces))

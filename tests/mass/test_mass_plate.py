@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ct_inertia.bodies import BodySurface
+from ct_inertia.bodies import BodySurface, MeasuredBody
 from ct_inertia.ct2mass import _plate_frame
 from ct_inertia.frames.fiducials import PlateFiducials, plate_frame_from_fiducials, read_plate_fiducials
 from ct_inertia.frames.footplate import footplate_frame
@@ -101,6 +101,22 @@ def test_plastic_without_a_plane_face_leaves_the_plate_frame_out_with_a_warning(
     assert [notice.code for notice in work.notices] == ["plate_not_found"]
 
 
+@pytest.mark.parametrize(("low_mm", "plate"), [(-0.3, False), (0.05, True)], ids=["a fluid", "a plate"])
+def test_a_block_that_covers_the_foot_of_the_stapes_is_a_fluid(low_mm: float, plate: bool) -> None:
+    block = slab(4.4, 3.0)
+    heights = np.linspace(low_mm, 1.2, 50)
+    bone = SimpleNamespace(
+        scan_points=lambda _: POSE.points(np.column_stack([0 * heights, heights, 0 * heights]))
+    )
+    region = SimpleNamespace(named=False, one_of_several=False, scan_from_index=np.eye(4))
+    labelled = SimpleNamespace(plate_region=region, box=bone, stapes=np.ones((1, 1, 1), dtype=bool))
+    measured = MeasuredBody(labelled, None, None, None, None, block, tuple(plane_faces(block)))  # type: ignore[arg-type]
+    work = SimpleNamespace(fiducials=None, measured=measured, notices=[])
+    found = _plate_frame(work, SimpleNamespace(centroid_mm=STAPES))  # type: ignore[arg-type]
+    assert (found is not None) == plate
+    assert [notice.code for notice in work.notices] == ([] if plate else ["plate_not_found"])
+
+
 def test_the_plate_of_a_scan_is_found_below_two_micrometres() -> None:
     from scipy.ndimage import gaussian_filter
 
@@ -139,6 +155,34 @@ def test_points_with_places_in_the_plate_are_fitted() -> None:
         plate_frame_from_fiducials(
             PlateFiducials(("a", "b", "c"), np.arange(3.0)[:, None] * np.ones(3)), STAPES
         )
+
+
+@pytest.mark.parametrize(
+    "local",
+    [CORNERS[:3], [*CORNERS[:3], CORNERS[1]], [*CORNERS, [-1.95, 0.45, 1.3]]],
+    ids=["three", "one twice", "a pin"],
+)
+def test_points_that_are_not_the_corners_of_a_face_are_refused(local) -> None:
+    """The middle of three corners is .9 mm from that of the face, and the diagonal longer than any edge."""
+    points = POSE.points(np.array(local))
+    with pytest.raises(StapeskitError) as error:
+        plate_frame_from_fiducials(PlateFiducials(tuple("abcde")[: len(points)], points), STAPES)
+    assert error.value.faults[0].thing == "the points of --plate-fiducials"
+
+
+@pytest.mark.parametrize("sd_mm", [None, np.array([0.01, 0.06, 0.03, 0.05, 0.02])], ids=["by hand", "stated"])
+def test_corners_that_scatter_give_the_frame_within_its_standard_deviation(sd_mm) -> None:
+    """Also where a point of an edge is among them: the origin is that of the face, not of the points."""
+    local = np.array([*CORNERS, [0.0, 0.0, -1.5]])
+    rng = np.random.default_rng(4)
+    scatter = np.full(5, 0.03) if sd_mm is None else sd_mm
+    squares = []
+    for _ in range(200):
+        points = POSE.points(local + scatter[:, None] * rng.normal(size=(5, 3)))
+        frame = plate_frame_from_fiducials(PlateFiducials(tuple("abcde"), points, sd_mm=sd_mm), STAPES)
+        off = displacement(frame.scan_from_plate, POSE)
+        squares.append(off**2 / np.diag(frame.covariance))
+    assert np.all(np.abs(np.sqrt(np.mean(squares, axis=0)) - 1.0) < 0.35)
 
 
 @pytest.mark.parametrize(
