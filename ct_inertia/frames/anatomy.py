@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stapeskit.arrays import Array
-from stapeskit.faults import Fault, StapeskitError
+from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.frames import RigidTransform
 from stapeskit.warnings import Notice
 
@@ -26,10 +26,11 @@ NO_HINT = "no hint: scan x"
 # viewer by some degrees.
 _SQUARE_DEG, _WEAK_DEG = 87.0, 70.0  # angle to the long axis: refused, reported
 _LEAST_OFFSET_MM = 0.1  # of a landmark from the centre, below which it says nothing
-_HEAD_MM = 1.0  # most distance of the landmark head from the bone: about the width of the head
+# Most distance from the bone: the width of the head; what tells a direction lies beside the stapes.
+_HEAD_MM, _BESIDE_MM = 1.0, 3.0
 _LEAST_HEAD_MM = 0.3  # least height of the head above the footplate
 _CENTRE_MM = 1.0  # most distance of the landmark footplate_centre: a third of the footplate, beyond any slip
-_LANDMARK_STEP = "Check the landmarks and their coordinate system (LPS or RAS), or --mirror"
+_LANDMARK_STEP = "Check the landmarks, their unit and coordinate system (LPS or RAS), or --mirror"
 
 
 @dataclass(frozen=True)
@@ -75,28 +76,20 @@ def orient_long_axis(
 ) -> tuple[float, str, list[Notice]]:
     """Choose the sign of the long axis that points anterior.
 
-    Parameters
-    ----------
-    origin_mm : ndarray, (3,)
-        Footplate centre, scan coordinates.
-    x_axis, y_axis : ndarray, (3,)
-        Long axis of either sign, and the piston direction (lateral), unit vectors in scan axes.
-
-    Returns +1 when the given axis points anterior, what decided, and notices.
+    ``x_axis``, of either sign, and ``y_axis``, lateral, are unit vectors (3,) in scan axes. Returns +1 when
+    the given axis points anterior, what decided, and notices.
 
     Raises
     ------
     StapeskitError
-        Hints contradict each other, or the only hint is nearly square to the long axis.
+        Hints contradict each other, or one of them is nearly square to the axis that it tells of.
 
     Notes
     -----
     Without any hint +x is the sense with the positive component along scan x (ties: y, then z).
     """
-    votes, notices, unused = _votes(hints, origin_mm, x_axis, np.cross(x_axis, y_axis))
+    votes, notices = _votes(hints, origin_mm, x_axis, np.cross(x_axis, y_axis))
     if not votes:
-        if unused:
-            raise StapeskitError(*unused)
         text = (
             "Nothing says where anterior is: +x of the footplate frame is the sense of its long axis with "
             "the positive component along scan x (ties: y, z). Give --anterior or an anterior landmark."
@@ -107,7 +100,6 @@ def orient_long_axis(
         step = "Correct the wrong one; a wrong --side or a mirrored scan (--mirror) can do this"
         expected = "of one mind about which end of the footplate is anterior"
         raise StapeskitError.of("the anatomical hints", expected, statements, next_step=step)
-    notices += [Notice("file_read", str(fault)) for fault in unused]
     return votes[0][0], ", ".join(name for _, name in votes), notices
 
 
@@ -117,11 +109,10 @@ def _scan_sign(axis: Array) -> float:
 
 def _votes(
     hints: AnatomyHints, origin_mm: Array, x_axis: Array, z_axis: Array
-) -> tuple[list[tuple[float, str]], list[Notice], list[Fault]]:
-    """Return sign of the long axis and source of every usable hint, notices, landmarks that say nothing."""
+) -> tuple[list[tuple[float, str]], list[Notice]]:
+    """Return sign of the long axis and source of every hint, and notices."""
     votes: list[tuple[float, str]] = []
     notices: list[Notice] = []
-    unused: list[Fault] = []
     if hints.anterior is not None:
         angle = float(np.degrees(np.arccos(np.clip(abs(hints.anterior @ x_axis), 0.0, 1.0))))
         if angle > _SQUARE_DEG:
@@ -148,27 +139,27 @@ def _votes(
         if abs(offset) < _LEAST_OFFSET_MM:
             expected = f"at least {_LEAST_OFFSET_MM} mm off the footplate centre along the axis it tells of"
             step = "Place it at the rim of the footplate"
-            unused.append(Fault(f"landmark {name}", expected, f"{offset:+.3f} mm", "", step))
-            continue
+            raise StapeskitError.of(f"landmark {name}", expected, f"{offset:+.3f} mm", next_step=step)
         votes.append((float(np.sign(offset)) * sense, f"landmark {name}"))
-    return votes, notices, unused
+    return votes, notices
 
 
-def check_head(surface: Surface, hints: AnatomyHints) -> None:
-    """Refuse a landmark head that lies on no bone of this body.
+def check_places(surface: Surface, hints: AnatomyHints) -> None:
+    """Refuse landmarks that lie on or beside no bone of this body.
 
     Raises
     ------
     StapeskitError
-        It lies more than 1 mm off the surface.
+        The head lies more than 1 mm off the surface, another one of LANDMARK_NAMES more than 3 mm.
     """
-    head = hints.landmarks.get("head")
-    if head is None:
-        return
-    distance = float(np.min(np.linalg.norm(surface.centres_mm - head, axis=1)))
-    if distance > _HEAD_MM:
-        expected = f"within {_HEAD_MM:g} mm of the surface of the stapes"
-        raise StapeskitError.of("landmark head", expected, f"{distance:.2f} mm", next_step=_LANDMARK_STEP)
+    faults = []
+    for name in sorted(hints.landmarks.keys() & set(LANDMARK_NAMES)):
+        most = _HEAD_MM if name == "head" else _BESIDE_MM
+        away = float(np.min(np.linalg.norm(surface.centres_mm - hints.landmarks[name], axis=1)))
+        if away > most:
+            expected = f"within {most:g} mm of the surface of the stapes"
+            faults.append(Fault(f"landmark {name}", expected, f"{away:.2f} mm", "", _LANDMARK_STEP))
+    raise_all(faults)
 
 
 def contradiction(origin_mm: Array, axes: Array, hints: AnatomyHints) -> Fault | None:

@@ -27,15 +27,9 @@ _REFERENCES = "give x_ref_mm, y_ref_mm, z_ref_mm"
 
 @dataclass(frozen=True)
 class PlateFiducials:
-    """Points of the plate found in the scan.
+    """Points (n, 3) of the plate found in the scan, and the same in the plate frame.
 
-    Attributes
-    ----------
-    names : tuple of str, (n,)
-    scan_mm : ndarray, (n, 3)
-    plate_mm : ndarray, (n, 3), or None
-        The same points in the plate frame; None: the points are corners of the plate's face.
-    sd_mm : ndarray, (n,), or None
+    Without ``plate_mm`` they are corners of the plate's face.
     """
 
     names: tuple[str, ...]
@@ -89,15 +83,10 @@ def read_plate_fiducials(path: Path) -> PlateFiducials:
 
 
 def plate_frame_from_fiducials(fiducials: PlateFiducials, stapes_mm: Array) -> PlateFrame:
-    """Return the plate frame that fiducials define.
+    """Return the plate frame that fiducials define; ``stapes_mm`` (3,) is a point of the stapes in the scan.
 
-    Parameters
-    ----------
-    fiducials : PlateFiducials
-        With coordinates in the plate frame: a rigid fit. Without: corners of the plate's face in any order;
-        y out of their plane towards the stapes, x along the longest side, origin the centroid of the face.
-    stapes_mm : ndarray, (3,)
-        A point of the stapes, scan coordinates.
+    With coordinates in the plate frame: a rigid fit. Without: corners of the plate's face in any order; y out
+    of their plane towards the stapes, x along the longest side, origin the centroid of the face.
 
     Raises
     ------

@@ -9,7 +9,7 @@ import numpy as np
 
 from ct_inertia.bodies import BodySurface
 from ct_inertia.calibrated import calibrated
-from ct_inertia.frames.anatomy import AnatomyHints, check_head, contradiction, orient_long_axis
+from ct_inertia.frames.anatomy import AnatomyHints, check_places, contradiction, orient_long_axis
 from ct_inertia.frames.footplate_face import Solved, solve_at
 from ct_inertia.frames.footplate_sd import contributions_of
 from ct_inertia.surface.surface import Surface
@@ -78,12 +78,8 @@ def footplate_frame(
 ) -> FootplateFrame:
     """Find the footplate frame on the surface of a stapes.
 
-    Parameters
-    ----------
-    hints : AnatomyHints, optional
-        Where anterior is; without them the sign of x is arbitrary but fixed, and a notice says so.
-    body : BodySurface, optional
-        How the surface errs; None: a mesh of which nothing is known but its triangles.
+    Without hints of where anterior is the sign of x is arbitrary but fixed, and a notice says so. ``body``
+    tells how the surface errs; None: a mesh of which nothing is known but its triangles.
 
     Raises
     ------
@@ -123,7 +119,7 @@ def _solve(
     surface: Surface, hints: AnatomyHints, body: BodySurface | None
 ) -> tuple[Solved, str, list[Notice]]:
     """Return the solution with the sign of x, what decided it, and warnings."""
-    check_head(surface, hints)
+    check_places(surface, hints)
     extent = _extent(surface)
     solved, notices = _choose_face(surface, extent, body, hints)
     sign, evidence, said = orient_long_axis(hints, solved.origin, solved.axes[:, 0], solved.axes[:, 1])

@@ -31,7 +31,7 @@ EDGE_MM = 0.04
 
 _DEPTH_MM, _DEEPER = 0.6, 1.5  # of the region around a footplate; deeper where the face reaches its end
 _CONE_TURN = 0.05  # turn of y (rad) after which that part is cut anew: a third of its margin
-_MOST_MM2 = 150.0  # of that part: all of a stapes has a third; memory grows with it at fixed edges
+_MOST_MM2 = 100.0  # of that part: all of a stapes has 15 to 40; memory grows with it at fixed edges
 _ROUNDS, _STILL_RAD = 60, 1e-5  # of the fixed point and of its plane: a hundredth of what noise leaves
 
 

@@ -27,18 +27,11 @@ _AGAIN = "Set the point again, or correct the file"
 
 
 def read_landmarks(path: Path) -> dict[str, Array]:
-    """Read a file of named points and return them in scan coordinates.
+    """Read a file of named points and return them (3,) in scan coordinates, mm.
 
-    Parameters
-    ----------
-    path : Path
-        ``.mrk.json`` or ``.json`` and ``.fcsv`` (3D Slicer; LPS or RAS as the file says), or ``.csv`` with
-        columns name, x_mm, y_mm, z_mm (scan coordinates).
-
-    Returns
-    -------
-    dict of str to ndarray, (3,)
-        mm. Names in lower case with underscores; ``footplate_center`` reads as ``footplate_centre``.
+    ``.mrk.json`` or ``.json`` and ``.fcsv`` are of 3D Slicer, LPS or RAS as the file says; ``.csv`` has the
+    columns name, x_mm, y_mm, z_mm (scan coordinates). Names are returned in lower case with underscores;
+    ``footplate_center`` reads as ``footplate_centre``.
 
     Raises
     ------

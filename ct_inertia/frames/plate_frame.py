@@ -92,12 +92,8 @@ class _Pose:
 def plate_frame(faces: Sequence[PlaneFace], stapes_mm: Array, level_sd_mm: float = 0.0) -> PlateFrame | None:
     """Find the frame of the plate from its plane faces; None without one that looks towards the stapes.
 
-    Parameters
-    ----------
-    stapes_mm : ndarray, (3,)
-        A point in the middle of the stapes, scan coordinates.
-    level_sd_mm : float
-        Standard deviation of one shift of the whole surface along its normal.
+    ``stapes_mm`` (3,) is a point in the middle of the stapes, scan coordinates; ``level_sd_mm`` the standard
+    deviation of one shift of the whole surface along its normal.
     """
     from scipy.spatial import QhullError
 

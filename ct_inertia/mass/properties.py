@@ -125,12 +125,8 @@ class MassProperties:
     ) -> MassMatrix:
         """Return the mass matrix about the footplate centre in footplate axes.
 
-        Parameters
-        ----------
-        frame_covariance : ndarray, (6, 6)
-            Of the footplate frame's displacement in its own axes, m and rad.
-        voxel_size_sd : float, optional
-            Relative standard deviation of the voxel size, e.g. 0.002.
+        ``frame_covariance`` (6, 6) is that of the footplate frame's displacement in its own axes, m and rad;
+        ``voxel_size_sd`` the relative standard deviation of the voxel size.
 
         Notes
         -----
@@ -152,10 +148,7 @@ class MassProperties:
 def from_density(moments: Moments, density_kg_m3: float, sd_kg_m3: float | None) -> MassProperties:
     """Return the mass properties of a body of uniform density.
 
-    Parameters
-    ----------
-    sd_kg_m3 : float or None
-        None: the density is taken as exact and adds nothing to the budget.
+    Without ``sd_kg_m3`` the density is taken as exact and adds nothing to the budget.
     """
     volume, parts = moments.volume_parameters(moments.centroid_mm)
     parameters = volume * density_kg_m3
@@ -170,12 +163,7 @@ def from_density(moments: Moments, density_kg_m3: float, sd_kg_m3: float | None)
 def from_mass(moments: Moments, mass_kg: float, sd_kg: float | None) -> MassProperties:
     """Return the mass properties of a body of uniform density and known mass.
 
-    Parameters
-    ----------
-    mass_kg : float
-        Of the bone alone, from a balance.
-    sd_kg : float or None
-        None: the mass is taken as exact.
+    ``mass_kg`` is of the bone alone, from a balance; without ``sd_kg`` it is taken as exact.
 
     Raises
     ------

@@ -22,14 +22,8 @@ _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 def moment_matched(field: Grey, moments: Moments, scan_from_index: Array) -> Surface:
     """Return the iso surface near zero with given volume, centre and second moments.
 
-    Parameters
-    ----------
-    field : ndarray of float32, [z, y, x]
-        Share of the body less one half: positive inside.
-    moments : Moments
-        Those of the body.
-    scan_from_index : ndarray, (4, 4)
-        Index x, y, z of the field to scan coordinates, mm.
+    ``field`` [z, y, x] is the share of the body less one half, positive inside; ``moments`` are those of the
+    body; ``scan_from_index`` (4, 4) maps the field's index x, y, z to scan coordinates, mm.
 
     Raises
     ------

@@ -126,6 +126,11 @@ def test_hints_that_contradict_each_other_are_refused() -> None:
         (AnatomyHints(None, {"head": POSE.points([0.0, 9.0, 0.0])}), "landmark head"),
         (AnatomyHints(None, {"footplate_centre": POSE.points([0.0, 3.0, 0.0])}), "landmark footplate_centre"),
         (AnatomyHints(None, {"anterior": POSE.points([0.01, 0.0, 0.3])}), "landmark anterior"),
+        (AnatomyHints(None, {"anterior": POSE.points([1.2, 0.0, 0.0]) * 1e3}), "landmark anterior"),  # in um
+        (
+            AnatomyHints(None, {"superior": POSE.points([0.0, 0.0, 0.6]) * [-1, -1, 1]}, "left"),
+            "landmark superior",
+        ),  # RAS
     ],
 )
 def test_hints_that_do_not_fit_the_body_are_refused(hints: AnatomyHints, thing: str) -> None:
@@ -233,8 +238,9 @@ def test_a_level_that_errs_moves_the_origin_by_its_shift() -> None:
 
 
 def test_a_body_far_larger_than_a_stapes_is_refused_before_memory_is_taken_for_it() -> None:
+    usual = surface_of(Stapes())
     with pytest.raises(StapeskitError) as error:
-        footplate_frame(surface_of(Stapes(scale=8.0)))
+        footplate_frame(Surface(8.0 * usual.vertices_mm, usual.faces))
     assert error.value.faults[0].thing == "the surface"
 
 
