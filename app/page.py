@@ -161,14 +161,25 @@ def cut_controls():
     def chooses(name):
         return lambda value: setattr(picture, name, value)
 
+    def takes_back(action):
+        """Show what an action changes, and the surfaces where the study's cut is now another one."""
+
+        def taken():
+            drawn = session.study.labels_are_ours
+            picture.show_change(action())
+            if session.study.labels_are_ours != drawn:
+                up(set_results)
+
+        return taken
+
     pen = mo.ui.radio({"look": None, **PENS}, value="look", inline=True, on_change=chooses("pen"))
     radius = mo.ui.slider(
         1, 15, value=3, label="radius, voxels", show_value=True, on_change=chooses("radius")
     )
     ball = mo.ui.switch(True, label="ball (off: this slice)", on_change=chooses("ball"))
     boundary = mo.ui.switch(False, label="boundary only", on_change=picture.show_boundary)
-    undo = button("Undo", lambda: picture.show_change(session.undo()))
-    back = button("Back to the cut as found", lambda: picture.show_change(session.reset()))
+    undo = button("Undo", takes_back(session.undo))
+    back = button("Back to the cut as found", takes_back(session.reset))
     again = step_button("Measure again", "cut")
     cut_step = listed(pen, beside(radius, ball), boundary, beside(undo, back), again)
     return (cut_step,)
