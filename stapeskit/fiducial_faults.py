@@ -132,7 +132,7 @@ def notices_of(pairs: Pairs) -> list[Notice]:
             f"the fiducials disagree by {size:.1f} times their sd_mm; {words or why}; the covariance of the "
             "registration was enlarged accordingly"
         )
-    elif count > 3 and size > _CONSPICUOUS * _NOTICEABLE_MM:
+    elif size > _CONSPICUOUS * _NOTICEABLE_MM:
         words = words or f"the coordinates of the fiducials scatter by {size:.2g} mm; {why}"
     return [*notices, Notice("fiducials_inconsistent", f"{words}.")] if words else notices
 

@@ -139,7 +139,8 @@ def _noise(finding: Finding, _body: BodyChannels) -> str:
 
 def _elsewhere(finding: Finding, body: BodyChannels) -> str:
     points = list_some(dict.fromkeys(body.points[channel] for channel in finding.channels))
-    return f"does not move with the others (point {points}): it bends, or its rows are wrong"
+    cause = "it bends, its rows are wrong, or single values are far off"
+    return f"does not move with the others (point {points}): {cause}"
 
 
 SENTENCES: dict[str, Callable[[Finding, BodyChannels], str]] = {

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.search import Diagnosis
-from kinematics.joint.estimate import joint
+from kinematics.joint.estimate import State, joint
 from kinematics.joint.expected import LASER_KINDS, ChannelError, body_starts, lasers_of, stated_errors
 from kinematics.joint.pack import Packed
 from kinematics.joint.tangents import Geometry, Parameters
@@ -44,19 +44,19 @@ class ErrorEstimate:
 
     Attributes
     ----------
-    errors : tuple of ChannelError, (p,)
-    values : ndarray, (p,)
-        1, rad, s and m.
-    covariance : ndarray, (p, p)
-        After the data.
+    values, covariance : ndarray, (p,) and (p, p)
+        1, rad, s and m; after the data.
     beams : tuple of str
         Mean direction of the beams of each laser.
+    left
+        Share of the disagreement beyond noise, root mean square, that the estimate leaves.
     """
 
     errors: tuple[ChannelError, ...]
     values: Array
     covariance: Array
     beams: tuple[str, ...] = ()
+    left: float = 0.0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -119,8 +119,9 @@ class ErrorEstimate:
         what = "the calibration moves the geometry" if self.calibrated else "the lasers disagree"
         text = (
             f"{what} by more than stated (p {shown.p_value:.1g}): most the {name}, by {value:+.3g} +- "
-            f"{sd:.2g} {unit} (stated sd {stated:.2g} {unit}). The motion is corrected for it. Check beams, "
-            "positions and channels with a verdict, or state larger errors: --gain-sd, sd_mm."
+            f"{sd:.2g} {unit} (stated sd {stated:.2g} {unit}). The motion is corrected by what is stated of "
+            f"them: {100.0 * self.left:.0f} % of the disagreement is left. Check beams, positions and "
+            "channels with a verdict, or state larger errors: --gain-sd, sd_mm."
         )
         return [Notice("stated_errors_exceeded", text)]
 
@@ -171,8 +172,11 @@ def estimate_errors(
     beams = lasers_of(placed.bodies)[1]
     if not packs:
         return ErrorEstimate(tuple(errors), 0.0 * stated, np.diag(stated**2), beams)
-    found = joint(_side_by_side(placed, packs), parameters_of(placed, errors))
-    return ErrorEstimate(tuple(errors), found.values, found.covariance, beams)
+    packed = _side_by_side(placed, packs)
+    found = joint(packed, parameters_of(placed, errors))
+    before, after = (max(one.energy - one.freedom, 0.0) for one in (State(packed), found.state))
+    left = float(np.sqrt(after / before)) if before > 0.0 else 0.0
+    return ErrorEstimate(tuple(errors), found.values, found.covariance, beams, left)
 
 
 def parameters_of(placed: Measurement, errors: Sequence[ChannelError]) -> Parameters:

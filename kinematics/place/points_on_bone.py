@@ -93,11 +93,11 @@ def check_surfaces(
             continue
         _refuse_other_axes(check, body, placement, mass, surface)
         if check.rms_mm > MOST_DISTANCE_MM:
-            step = "Check fiducials, their frame and points; neither other axes nor other units explain it"
+            step = "Check fiducials, their frame and points; neither other axes, units nor frames explain it"
             if placement.registration is None:
                 step = (
                     "Coordinates of the vibrometer need --fiducials, others the name of their frame "
-                    "(--frame); neither other axes nor other units explain it"
+                    "(--frame); neither other axes, units nor frames explain it"
                 )
             expected = f"on the bone within {MOST_DISTANCE_MM:g} mm after registration"
             raise StapeskitError.of(f"the points of body {body.body}", expected, check.words, "", step)
@@ -170,7 +170,7 @@ def _check(
 def _refuse_other_axes(
     check: SurfaceCheck, body: BodyChannels, placement: Placement, mass: MassRecord, surface: Surface
 ) -> None:
-    """Refuse points that other axes or another unit bring onto the surface.
+    """Refuse points that other axes, another unit or another frame bring onto the surface.
 
     Axes of points are those of the file, before --mirror.
 
@@ -182,12 +182,16 @@ def _refuse_other_axes(
     points_mm = 1e3 * body.arms_m[[body.points.index(name) for name in check.points]]
     to_scan = mass.scan_from_footplate @ placement.transform
     reference = placement.reference
-    from_reference = RigidTransform.identity("scan", "scan")
-    if reference != "scan":
-        from_reference = (mass.scan_from_plate if reference == "plate" else None) or mass.scan_from_footplate
+    frames = {"scan": RigidTransform.identity("scan", "scan"), "footplate": mass.scan_from_footplate}
+    frames |= {} if mass.scan_from_plate is None else {"plate": mass.scan_from_plate}
+    from_reference = frames[reference]
     inside = from_reference.inverse().points(to_scan.points(points_mm))
     to_file = body.file_from_here
-    tried: dict[str, Array] = {}
+    tried = {
+        f"the frame of the coordinates with {name} instead of {reference}": other.points(inside)
+        for name, other in frames.items()
+        if name != reference
+    }
     for words, change in {**axes_changes(), **UNITS}.items():
         moved_mm = points_mm @ (to_file.T @ change @ to_file).T
         tried[f"the coordinates of the points with {words}"] = to_scan.points(moved_mm)

@@ -36,12 +36,13 @@ _LINEAR = "Export velocity or displacement on a linear scale, and name its unit 
 _UNIT_LENGTH = (0.999, 1.001)  # directions are written with four digits
 _AGAIN = "Leave it empty where it is missing, or export it again"
 _LENGTH = "Divide it by its length"
+_SHARE = "Write it as a share of 1, not of 100; a file that no hand wrote is damaged: export it again"
 _LIMITS: tuple[tuple[str, Callable[[Row], ArrayLike | None], float, float, str], ...] = (
     ("the values", lambda row: np.abs(row.value), 0.0, LARGEST, _AGAIN),
     ("the coordinates of points, in mm", lambda row: 1e3 * np.abs(row.position_m), 0.0, FARTHEST_MM, _AGAIN),
     ("the length of a direction", lambda row: np.linalg.norm(row.direction), *_UNIT_LENGTH, _LENGTH),
     ("the standard deviations", lambda row: row.sd, 0.0, LARGEST, _AGAIN),
-    ("the coherence", lambda row: row.coherence, 0.0, 1.0, "Write it as a share of 1, not of 100"),
+    ("the coherence", lambda row: row.coherence, 0.0, 1.0, _SHARE),
     ("the number of averages", lambda row: row.n_avg, 1.0, LARGEST, _AGAIN),
 )
 
@@ -246,7 +247,8 @@ def _mirrored_faults(rows: Sequence[Row]) -> list[Fault]:
     for row in rows:
         value, mirrored = row.value, row.value[::-1].conj()
         alike = len(value) > 2 and np.allclose(value[:2], mirrored[:2], 1e-6, 0.0)
-        if alike and np.any(value.imag) and np.allclose(value, mirrored, 1e-6, 0.0, equal_nan=True):
+        turned = np.any(np.abs(value.imag) > 1e-6 * np.abs(value))  # else rounding, as of a constant
+        if alike and turned and np.allclose(value, mirrored, 1e-6, 0.0, equal_nan=True):
             bad.append((row, np.arange(len(value)) >= len(value) // 2))
     got, step = "a second half that mirrors the first", "Keep the lines up to half the sampling rate"
     return _faults_of(bad, "the spectra", "one-sided", got, step)

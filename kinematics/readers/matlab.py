@@ -46,6 +46,7 @@ _OPAQUE_STEP = (
     "Save them as char, cell array or numbers: names = cellstr(names); unit = char(unit); y = table.y; then "
     "save again"
 )
+_SQUARE_STEP = "Leave a frequency out, or save a struct array with the spectrum of one point in each element"
 _STEP = (
     "Name them freq_hz and y (points x frequencies, complex), or amp_x, amp_y, amp_z, with unit and xyz, in "
     "the file or in one struct, and save again; time series need --channels FILE"
@@ -75,7 +76,7 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     if left_out := list_some((name for one in held for name in one.unknown()), 12):
         notices.append(f"{left_out} have a value a frequency, but are no names of values: left out.")
     if square := list_some((name for one in held for name in one.square()), 6):
-        notices.append(f"{square} have as many rows as columns: their rows were taken as points.")
+        notices.append(f"{square} may hold three points in rows or in columns: taken as rows, as the values.")
     return Recording(
         path.name,
         tuple(rows),
@@ -149,9 +150,13 @@ class Variables:
     def shaped(self, name: str, columns: int, rows: int = 0) -> NDArray[Any]:
         """Return an array of points x columns, in either order, as (point, column).
 
-        Where the number of points, ``rows``, is known, one row is that of all points.
+        Where the number of points, ``rows``, is known, one row is that of all points; where it is not, a
+        square matrix is refused, since nothing says which of the two orders it has.
         """
         value = np.atleast_2d(self.numbers(name))
+        if not rows and value.shape == (columns, columns) and not np.array_equal(value, value.T):
+            want = "of another number of points than of frequencies, which shows where its points are"
+            self.refuse(f"the variable {name}", want, value.shape, _SQUARE_STEP)
         value = value.T if value.shape[1] != columns else value
         if value.ndim != 2 or value.shape[1] != columns or (rows and len(value) not in (1, rows)):
             self.refuse(f"the variable {name}", f"{rows or 'points'} x {columns}", np.shape(self.held[name]))
@@ -224,11 +229,9 @@ class Variables:
         return [name for name in sized if name not in read]
 
     def square(self) -> list[str]:
-        """Return the names of the matrices that may be points x columns as well as columns x points."""
-        read = {name for parts in self._beams().values() for name in parts.values()}
-        read |= {self.name(role) for role in ("position", "direction") if self.name(role)}
-        shapes = {name: np.shape(self.held[name]) for name in sorted(read)}
-        return [name for name, shape in shapes.items() if len(shape) == 2 and len(set(shape)) == 1]
+        """Return the names of positions and directions of three points, which may be written either way."""
+        names = (self.name(role) for role in ("position", "direction"))
+        return [name for name in names if np.shape(self.held.get(name)) == (3, 3)]
 
     def _rows_of(self, parts: Mapping[str, str], axis: str) -> list[Row]:
         """Return one row for every point of a beam, whose real and imaginary ``parts`` may be apart."""
@@ -251,6 +254,9 @@ class Variables:
         if not any(names) or (count > 1 and len(set(names)) == 1):  # one text for all is a title
             names = [self.element] if self.element and count == 1 else [str(k) for k in range(1, count + 1)]
         bodies, places = self.texts("body", count), np.full((count, 3), np.nan)
+        if count == 3 and self.square() and np.shape(self.held[source])[0] != 3:
+            want = "points x frequencies where there are three points, as their positions and directions"
+            self.refuse(f"the variable {source}", want, np.shape(self.held[source]), "Transpose it")
         if name := self.name("position"):
             places = self.shaped(name, 3, count).astype(float) * LENGTHS[self.length_unit or "m"]
         noise = {}

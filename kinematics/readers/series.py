@@ -45,7 +45,6 @@ _JITTER = 0.1  # difference of sampling times, in samples, that counts as roundi
 _SHORTEST = 16  # samples; shorter records hold no spectrum
 _CLIPPED = 3  # neighbouring samples at an extreme, and such stretches: a smooth signal touches it once
 _ONE_ROW = "Save each channel under a name of its own, and each record to a file (column file of the table)"
-_STEPS = "Give the amplitudes and phases of its steps as a tidy table, or cut the record by its steps"
 
 
 @dataclass(frozen=True)
@@ -164,15 +163,14 @@ def _read_samples(path: Path, names: Sequence[str]) -> tuple[float, dict[str, Ar
     ------
     StapeskitError
         A channel is missing (those found are listed) or has several rows, channels of several lengths, times
-        that are not evenly spaced, no sampling rate, a stepped sine, or samples that are no finite numbers or
-        all alike.
+        that are not evenly spaced, no sampling rate, or samples that are no finite numbers or all alike.
     """
     arrays = {name.lower(): np.asarray(value) for name, value in _arrays(path, names).items()}
     held = {name: one for name, one in arrays.items() if one.dtype.kind in "fiu" and one.size}
     listed = list_some(held, 20) or "none"
     if missing := [name for name in names if name.lower() not in held]:
         want = f"in the file, which has {listed}"
-        raise StapeskitError.of(f"channel {list_some(missing)}", want, "no such one", path.name)
+        raise StapeskitError.of(f"channel {list_some(missing)}", want, "no such one", path.name, _ONE_ROW)
     samples = {name: held[name.lower()] for name in names}
     raise_all(
         Fault(
@@ -187,9 +185,6 @@ def _read_samples(path: Path, names: Sequence[str]) -> tuple[float, dict[str, Ar
         got = ", ".join(f"{name} {len(one)}" for name, one in samples.items())
         want, step = f"of one number of samples, {_SHORTEST} at least", "Resample them to one rate"
         raise StapeskitError.of("the channels", want, got, path.name, step)
-    if np.size(held.get("freq_hz", [])) == longest:
-        got = "one with a frequency at each sample, a stepped sine"
-        raise StapeskitError.of("the record", "of random or periodic excitation", got, path.name, _STEPS)
     times = [held[name].reshape(-1).astype(float) for name in TIMES if np.size(held.get(name, [])) == longest]
     rates = [float(held[name].reshape(-1)[0]) for name in RATES if np.size(held.get(name, [])) == 1]
     rates = [*(_sampling_rate(time, path.name) for time in times[:1]), *rates]
@@ -221,7 +216,7 @@ def _arrays(path: Path, names: Sequence[str]) -> Mapping[str, Any]:
             return {name: archive[name] for name in archive.files}
     if head.startswith((b"MATLAB", b"\x89HDF\r\n\x1a\n")) or path.suffix.lower() == ".mat":
         return read_tree(path)
-    table, faults = read_named(path, ["time_s", *(name.lower() for name in names)], ["freq_hz"], texts=())
+    table, faults = read_named(path, ["time_s", *(name.lower() for name in names)], (), texts=())
     raise_all(faults)
     return table.numbers
 

@@ -95,8 +95,7 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
     except StapeskitError:
         raise
     except (OSError, struct.error, IndexError, ValueError) as fault:  # olefile and short streams
-        got = " ".join(str(fault).split())[:120] or type(fault).__name__
-        want = "whole, as PSV 10 writes it"
+        want, got = "whole, as PSV 10 writes it", "one that is cut short or damaged"
         raise StapeskitError.of("the scan file", want, got, path.name, EXPORT) from fault
 
 
@@ -138,7 +137,7 @@ class _File:
             notices.append(Notice("zero_rows", text))
         with np.errstate(divide="ignore", invalid="ignore"):
             response = power / reference
-            coherence = np.minimum(np.abs(power) ** 2 / (auto * reference), 1.0)
+            coherence = np.abs(power) ** 2 / (auto * reference)  # above 1 in a damaged file
         response[~np.isfinite(response)] = np.nan  # an empty line: a missing value
         unit = MotionUnit(1, per=REFERENCES.get(cross.quantities.get(two, 0), f"unit of {names[1]}"))
         rows = [

@@ -26,6 +26,7 @@ from kinematics.readers.uff_geometry import Dataset, nodes_of
 from kinematics.readers.units import HERTZ, MotionUnit, is_none, motion_unit, plain
 from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError, collect_faults, list_some
+from stapeskit.tables import decoded
 from stapeskit.warnings import Notice
 
 FRF, TRANSMISSIBILITY, COHERENCE, SPECTRUM = 4, 5, 6, 12
@@ -42,8 +43,8 @@ REFERENCES = {13: "N", 9: "N", 15: "Pa", 8: "m", 11: "m/s", 12: "m/s2"}
 """Units of the denominator by its data characteristic."""
 
 _FREQUENCY = (0, 1, 18)  # data characteristics of the abscissa: unknown, general, frequency
-_BINARY = re.compile(rb"^ {4}58b", re.MULTILINE | re.IGNORECASE)
-_PADDED_RULE = re.compile(rb"^ {4}-1[ \t]+(\r?)$", re.MULTILINE)
+_BINARY = re.compile(rb"^ {4}58b[^\n]*\n(?:[^\n]*\n){11}", re.MULTILINE | re.IGNORECASE)
+_PADDED_RULE = re.compile(rb"^ {4}-1[ \t]+$", re.MULTILINE)
 _FORTRAN_EXPONENT = re.compile(rb"(\d)[Dd]([+-]\d\d)")
 _TEXT_AXIS = re.compile(r"(?<![A-Za-z0-9+-])([+-]?)([XYZ])(?![A-Za-z0-9])")
 _OWN_FILES = (
@@ -98,13 +99,15 @@ def read(path: Path, facts: FileFacts) -> Recording:  # noqa: ARG001
 def _datasets(path: Path) -> tuple[list[Dataset], list[Fault]]:
     """Return the datasets that pyuff reads, with their places from 1, and what is wrong with the others.
 
-    Of text, rules padded with blanks to 80 columns and Fortran's exponents D are rewritten for pyuff.
+    Latin-1, rules padded with blanks to 80 columns and Fortran's exponents D are rewritten for pyuff.
     """
     import pyuff
 
     sets, faults, content = list[Dataset](), list[Fault](), path.read_bytes()
     if _BINARY.search(content) is None:
-        content = _PADDED_RULE.sub(rb"    -1\1", _FORTRAN_EXPONENT.sub(rb"\1E\2", content))
+        content = _FORTRAN_EXPONENT.sub(rb"\1E\2", decoded(content).encode())
+        content = _PADDED_RULE.sub(b"    -1", content)
+    content = _BINARY.sub(lambda head: decoded(head[0]).encode(), content)
     end = content.rstrip(b" \t\r\n\0\x1a")
     if not end.endswith(b" -1"):
         got = shown(end.rsplit(b"\n", 1)[-1][-40:].decode("latin-1")) or "nothing"

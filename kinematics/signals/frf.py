@@ -23,6 +23,7 @@ _SHORTEST = 8  # samples of a segment: shorter ones have no line apart from 0 Hz
 _STEADY = 100  # averages whose noise estimate needs no neighbouring lines: sd known to 7 %
 _HANN_SPREAD = 35.0 / 18.0  # mean of w^4 over that of w^2 squared: correlation of neighbouring lines
 _MOST_PERIODS = 50  # periods a block that are tried: more would need a clock better than 1e-3 of a sample
+_SINGLE, _NEIGHBOURS = 100.0, 25  # times the power next to it: three segments of noise reach 20 in 10^5 lines
 _LEAST_REFERENCE = 1e-3  # share of the largest line from which a line of a period counts as excited
 
 
@@ -62,13 +63,15 @@ def welch_frf(
     Raises
     ------
     StapeskitError
-        A reference without power at a line, or a record too short for three segments.
+        A reference without power at a line or with most of it in single lines, as of sines; a record too
+        short for three segments.
 
     Notes
     -----
     With G the averaged spectra and n the effective averages H1 = Gxy / Gxx, low by 1 / (1 + noise over signal
     in the reference).
     """
+    from scipy.ndimage import percentile_filter
     from scipy.signal import stft
 
     segment = 2 * (len(reference) // (max(segments, _FEWEST) + 1))
@@ -87,6 +90,12 @@ def welch_frf(
     if not np.all(power > 0.0):
         step = "Check its channel; of a periodic excitation give it with --period"
         raise StapeskitError.of("the reference", "of some power at every line", 0, where, step)
+    single = power > _SINGLE * percentile_filter(power, 25, _NEIGHBOURS)
+    if np.sum(power[single]) > 0.5 * np.sum(power):
+        step = "Give the period with --period; of steps of a sine give amplitudes and phases as a tidy table"
+        got = f"{100.0 * np.sum(power[single]) / np.sum(power):.0f} % of it in {np.sum(single)} single lines"
+        want = "of power at all lines of its band, as random and transient excitation"
+        raise StapeskitError.of("the reference", want, got, where, step)
     freq = np.arange(2, segment // 2) * sample_rate_hz / segment
     value = np.mean(x.conj() * y, axis=-1) / power
     return _with_noise(freq, x, y, value, power, effective_averages(x.shape[-1]), _HANN_SPREAD)
@@ -178,5 +187,5 @@ def smoothed(spectrum: Array, width: int, freedom: float = np.inf) -> Array:
     from scipy.ndimage import uniform_filter1d
 
     width = max(1, min(width, spectrum.shape[-1]))
-    mean = uniform_filter1d(spectrum, width, axis=-1)
+    mean = np.maximum(uniform_filter1d(spectrum, width, axis=-1), spectrum / width)  # sums round below 0
     return np.asarray(mean / (1.0 - 1.0 / max(freedom * width, 2.0)))

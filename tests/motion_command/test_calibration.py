@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.joint.expected import stated_errors
+from kinematics.joint.expected import lasers_of, stated_errors
 from kinematics.joint.pack import Readings, pack
 from kinematics.joint.tangents import Geometry
 from kinematics.place.errors import estimate_errors, parameters_of, with_errors
@@ -91,6 +91,18 @@ def test_values_far_off_do_not_move_the_geometry(tmp_path):
     result = measured(tmp_path, calibrate=True, robust="huber")
     assert {notice.code for notice in result.notices} == {"outliers"}
     assert np.sqrt(np.mean(error_in_sd(result, truth) ** 2)) < 1.3
+
+
+def test_what_an_estimate_leaves_of_a_disagreement_is_a_share():
+    """A turned phase of one laser is more than what is stated allows to correct: not all of it is gone."""
+    placed, _, _ = drawn(4)
+    body = placed.bodies[0]
+    value = body.value.copy()
+    value[:, lasers_of(placed.bodies)[0][0]] *= np.exp(1j * np.deg2rad(40.0))
+    wrong = replace(placed, bodies=(replace(body, value=value),))
+    sound, found = calibrate(placed), calibrate(wrong)
+    assert sound.left < 0.2
+    assert 0.02 < found.left < 1.0
 
 
 def test_errors_beyond_their_priors_are_reported():

@@ -194,6 +194,26 @@ def test_half_turns_are_named_before_the_sample_is_blamed(tmp_path, words):
     assert words in fault.next_step
 
 
+def test_references_in_another_frame_than_stated_are_refused_with_their_frame(tmp_path):
+    """The origins of plate and footplate are half a millimetre apart: the sample was blamed."""
+    truth = simulated(tmp_path, seed=3)
+    rewrite(tmp_path / "fiducials.csv", lambda table: table.__setitem__("frame", "footplate"))
+    with pytest.raises(StapeskitError) as caught:
+        measured(tmp_path, mass_of(truth))
+    assert "plate instead of footplate" in caught.value.faults[0].next_step
+
+
+def test_a_slip_in_one_of_three_fiducials_is_reported_without_sd(tmp_path):
+    truth = simulated(tmp_path, seed=3)
+
+    path = tmp_path / "fiducials.csv"
+    three = [line.rpartition(",")[0] for line in path.read_text().splitlines()[:4]]  # without sd_mm
+    path.write_text("\n".join(three))
+    rewrite(path, lambda table: table.__setitem__("x_ref_mm", table.x_ref_mm + [1.0, 0.0, 0.0]))
+    codes = {notice.code for notice in measured(tmp_path, mass_of(truth)).notices}
+    assert {"fiducials_coplanar", "fiducials_inconsistent"} <= codes
+
+
 def test_references_in_ras_are_named(tmp_path):
     truth = simulated(tmp_path, seed=3)
     to_scan = truth.scan_from_plate

@@ -37,6 +37,37 @@ def test_h1_and_its_standard_deviation():
     assert np.allclose(np.mean(ratios, axis=0), 1.0, atol=0.08)
 
 
+@pytest.mark.parametrize("kind", ["multisine", "one sine", "steps"])
+def test_power_in_single_lines_is_refused_without_a_period(kind):
+    """Lines between hold leakage: errors of a multisine were 14 of their stated sd."""
+    rng = np.random.default_rng(6)
+    time = np.arange(60_000) / RATE
+    freq = np.arange(200.0, 2000.0, 50.0) if kind == "multisine" else np.linspace(300.0, 2000.0, 6)
+    drive = np.sum(np.sin(2 * np.pi * freq[:, None] * time + rng.uniform(0, 6.0, (len(freq), 1))), axis=0)
+    if kind != "multisine":
+        steps = np.sin(2 * np.pi * freq[:, None] * time[:10_000]).ravel()
+        drive = steps if kind == "steps" else np.sin(2 * np.pi * 437.0 * time)
+    drive += 1e-4 * rng.normal(size=len(time))
+    responses = 0.5 * np.roll(drive, 1)[None] + 0.01 * rng.normal(size=len(time))
+    with pytest.raises(StapeskitError) as caught:
+        welch_frf(drive, responses, RATE, 30)
+    assert caught.value.faults[0].thing == "the reference"
+    assert "--period" in caught.value.faults[0].next_step
+
+
+@pytest.mark.parametrize("kind", ["white", "band", "hum", "chirp"])
+def test_power_in_a_band_is_no_power_in_single_lines(kind):
+    rng = np.random.default_rng(7)
+    time = np.arange(60_000) / RATE
+    drive = rng.normal(size=len(time))
+    if kind == "band":
+        drive = np.fft.irfft(np.fft.rfft(drive) * (np.abs(np.fft.rfftfreq(len(time)) - 0.1) < 0.02))
+    drive += 0.5 * np.sin(2 * np.pi * 50.0 * time) if kind == "hum" else 0.0
+    drive = np.sin(2 * np.pi * (200.0 + 100.0 * time) * time) if kind == "chirp" else drive
+    for segments in (3, 30):
+        assert len(welch_frf(drive, drive[None], RATE, segments).freq_hz)
+
+
 def test_periods_give_exact_responses_and_honest_noise():
     rng = np.random.default_rng(6)
     time = np.arange(int(2.0 * RATE)) / RATE

@@ -67,11 +67,19 @@ def test_layouts_by_their_names(name, tmp_path):
         assert np.allclose(recording.directions, [[0.0, 0.0, 1.0]] * 3)
 
 
-def test_square_matrices_are_read_by_rows_and_named(tmp_path):
-    """Positions of three points may be written either way."""
+def test_positions_of_three_points_are_in_the_order_of_the_values_and_named(tmp_path):
     (text,) = how_read(read(tmp_path, {**LAYOUTS["one beam"], "xyz": PLACES_M}))
     assert "xyz" in text
     assert how_read(read(tmp_path, LAYOUTS["one beam"])) == []
+    (fault,) = faults(tmp_path, {**LAYOUTS["columns"], "xyz": PLACES_M})
+    assert fault.thing == "the variable Y".lower()
+
+
+def test_square_matrices_of_values_are_refused_but_for_those_that_read_alike_both_ways(tmp_path):
+    square = {"x": FREQ_HZ[:3], "y": Z[:, :3], "usd": USD}
+    assert [fault.thing for fault in faults(tmp_path, square)] == ["the variable y"]
+    alike = Z[:, :3] + Z[:, :3].T
+    assert np.array_equal(read(tmp_path, {**square, "y": alike}).value, alike)
 
 
 def test_versions_of_matlab_files(tmp_path):
@@ -228,6 +236,14 @@ def test_times_are_read_in_seconds_alone(name, factor, tmp_path):
     with pytest.raises(StapeskitError) as caught:
         read_file(tmp_path / "a.csv", facts)
     assert "time_s" in caught.value.faults[0].got
+
+
+def test_a_response_that_is_the_reference_is_one(tmp_path):
+    """Its spectrum is real but for rounding: no second half of a whole transform."""
+    drive = np.random.default_rng(2).normal(size=20_000)
+    np.savez(tmp_path / "a.npz", fs=8000.0, a=drive, b=2.0 * drive, d=drive)
+    recording = read_file(tmp_path / "a.npz", FileFacts(channels=channels(tmp_path, LISTED)))
+    assert np.allclose(recording.value, [[2e-3], [4e-3]])
 
 
 SERIES_MISTAKES = {

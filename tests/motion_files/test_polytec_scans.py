@@ -113,6 +113,16 @@ def test_directions_by_their_codes(code, direction, tmp_path):
     assert ("axes_assumed" in {notice.code for notice in recording.notices}) == (code == 6)
 
 
+@pytest.mark.parametrize("medium", ["M3", "M4"])
+def test_auto_powers_that_a_damage_made_smaller_are_refused(medium, tmp_path):
+    """A coherence above 1 was taken as 1, with a noise of 0."""
+    with pytest.raises(StapeskitError) as caught:
+        read_vibrometer(
+            changed(tmp_path, f"Polytec_Data/{medium}/ManyStreamsData-0", 8 + 248 + 400, b"\0" * 64)
+        )
+    assert caught.value.faults[0].thing == "the coherence"
+
+
 def test_points_without_a_record_are_left_out(tmp_path):
     path = tmp_path / "a.svd"
     path.write_bytes((DATA / "surface.svd").read_bytes())

@@ -48,6 +48,13 @@ def faults(folder, *parts):
     return caught.value.faults
 
 
+@pytest.mark.parametrize("binary", ["", "<"])
+def test_micro_in_latin_1(binary, tmp_path):
+    part = function(FREQ_HZ, 1e6 * VALUE, unit="µm/s", binary=binary)
+    assert b"\xb5m/s" in part
+    assert np.allclose(read(tmp_path, units(), nodes_2411(PLACE), part).value[0], VALUE, rtol=1e-11)
+
+
 @pytest.mark.parametrize("binary", ["", "<", ">"])
 @pytest.mark.parametrize(("form", "even"), [(5, True), (5, False), (6, True), (6, False)])
 def test_every_form_of_numbers(form, even, binary, tmp_path):
