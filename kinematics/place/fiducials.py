@@ -19,20 +19,9 @@ _APART_MM = (0.1, 300.0)  # a footplate is 2 mm long, a holder 100 mm: beyond, t
 
 @dataclass(frozen=True)
 class Fiducials:
-    """Paired points.
+    """Paired points (n, 3), the references in ``frame`` out of `FRAMES`; ``file`` is for messages.
 
-    Attributes
-    ----------
-    names : tuple of str, (n,)
-    vibrometer_mm : ndarray, (n, 3)
-    reference_mm : ndarray, (n, 3)
-        In ``frame``.
-    frame : str
-        Out of `FRAMES`.
-    sd_mm : ndarray, (n,), or None
-        Standard deviation per coordinate of the difference of a pair; None when not stated.
-    file : str
-        Name of the file, for messages.
+    ``sd_mm`` (n,) is the standard deviation per coordinate of the difference of a pair; None when not stated.
     """
 
     names: tuple[str, ...]

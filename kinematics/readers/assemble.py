@@ -32,10 +32,7 @@ def read_measurement(
 ) -> Measurement:
     """Read one or several vibrometer files as one measurement.
 
-    Parameters
-    ----------
-    points : Path, optional
-        CSV with positions, and with the bodies of points whose files do not name them.
+    ``points`` is a CSV with positions, and with the bodies of points whose files do not name them.
 
     Raises
     ------
@@ -72,11 +69,8 @@ def assemble(
 ) -> Measurement:
     """Assemble the recordings of one or several files, settled, to one measurement.
 
-    Parameters
-    ----------
-    points : Points, optional
-        The body of a point, and its position where the files have none; a position that both have must be the
-        same.
+    ``points`` give the body of a point, and its position where the files have none; a position that both have
+    must be the same.
 
     Notes
     -----

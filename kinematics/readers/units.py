@@ -32,18 +32,10 @@ _REFERENCE = re.compile(
 
 @dataclass(frozen=True)
 class MotionUnit:
-    """A unit of motion.
+    """A unit of displacement, velocity or acceleration (``order`` 0, 1, 2); ``scale`` leads to m, m/s, m/s2.
 
-    Attributes
-    ----------
-    order : int
-        0 displacement, 1 velocity, 2 acceleration.
-    scale : float
-        Factor to m, m/s, m/s2.
-    per : str
-        Unit of the reference as written; empty when there is none.
-    amplitude : str
-        ``peak`` or ``rms``; empty when the label does not say which.
+    ``per`` is the unit of the reference as written, ``amplitude`` is ``peak`` or ``rms``; empty where the
+    label does not say it.
     """
 
     order: int = 1

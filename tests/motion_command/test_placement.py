@@ -209,7 +209,7 @@ def test_a_slip_in_one_of_three_fiducials_is_reported_without_sd(tmp_path):
     path = tmp_path / "fiducials.csv"
     three = [line.rpartition(",")[0] for line in path.read_text().splitlines()[:4]]  # without sd_mm
     path.write_text("\n".join(three))
-    rewrite(path, lambda table: table.__setitem__("x_ref_mm", table.x_ref_mm + [1.0, 0.0, 0.0]))
+    rewrite(path, lambda table: table.__setitem__("x_ref_mm", table.x_ref_mm + np.eye(3)[0]))
     codes = {notice.code for notice in measured(tmp_path, mass_of(truth)).notices}
     assert {"fiducials_coplanar", "fiducials_inconsistent"} <= codes
 
