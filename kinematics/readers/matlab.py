@@ -231,7 +231,7 @@ class Variables:
     def square(self) -> list[str]:
         """Return the names of positions and directions of three points, which may be written either way."""
         names = (self.name(role) for role in ("position", "direction"))
-        return [name for name in names if np.shape(self.held.get(name)) == (3, 3)]
+        return [name for name in names if np.shape(self.held.get(name, 0)) == (3, 3)]
 
     def _rows_of(self, parts: Mapping[str, str], axis: str) -> list[Row]:
         """Return one row for every point of a beam, whose real and imaginary ``parts`` may be apart."""
