@@ -109,10 +109,8 @@ def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Surfa
         if not close:
             step = "Close them in the program that made the surface (a solid fill), or let --close do it"
             raise StapeskitError.of("the surface", "closed", f"{where} in {len(faces)} faces", name, step)
-        vertices, faces, caps = _closed(vertices, faces, name)
-        texts.append(
-            f"{name} had {where}; --close filled them, and the budget holds what may be missing: look."
-        )
+        vertices, faces, caps, how = _closed(vertices, faces, name)
+        texts.append(f"{name} had {where}; {how} (--close), and the budget holds what may be missing: look.")
     faces, turned = _oriented(vertices, faces, name)
     if turned:
         texts.append(f"{turned} of {len(faces)} faces of {name} were wound the other way; they were turned.")
@@ -167,12 +165,18 @@ def _edges(faces: Faces) -> Faces:
     return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 
 
-def _closed(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, tuple[Cap, ...]]:
-    """Fill the holes of one open piece; refuse where nothing shows how much of the body is missing."""
+def _closed(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, tuple[Cap, ...], str]:
+    """Close an open mesh and say how; refuse where nothing shows how much of the body is missing.
+
+    Open pieces that are filled one by one would count twice where they overlap.
+    """
+    from ct_inertia.surface.winding import winding_surface
+
     step = "Close it in the program that made it, where what is missing is known"
     if sum(len(boundary_edges(faces[piece])) > 0 for piece in pieces(faces)) > 1:
-        got = "several open pieces, which would count twice where they overlap"
-        raise StapeskitError.of("the surface", "one that --close can close", got, name, step)
+        made = winding_surface(vertices, faces, name)
+        how = "its pieces were replaced by the surface of winding number one half"
+        return made.vertices_mm, made.faces, made.caps, how
     vertices, faces, new = _filled(vertices, faces)
     if not new.any() or len(boundary_edges(faces)):
         got = "holes that pymeshlab cannot fill"
@@ -182,7 +186,7 @@ def _closed(vertices: Array, faces: Faces, name: str) -> tuple[Array, Faces, tup
     if cut:
         expected = f"within {_STEEPEST_DEG:g} degrees of flat where --close closes a hole"
         raise StapeskitError.of("the surface", expected, f"a body cut off {' and '.join(cut)}", name, step)
-    return vertices, faces, caps
+    return vertices, faces, caps, "they were filled"
 
 
 def _filled(vertices: Array, faces: Faces) -> tuple[Array, Faces, NDArray[np.bool_]]:
