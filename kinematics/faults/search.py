@@ -147,8 +147,7 @@ def _noise_level(now: Round) -> float:
     if abs(np.log(middle)) < 5.0 * spread or pattern_gain(now.state, middle) > 0.0:
         return 1.0
     near = line_residuals(now.readings, State(now.packed)).level ** 2
-    kept = 1.0 - now.state.q.shape[2] / len(now.live)  # of the noise in residuals
-    few = kept * middle > 2.0 * near  # values far off are louder, not all
+    few = middle > 2.0 * near  # values far off are louder, not all
     return 1.0 if few else float(np.sqrt(middle))
 
 

@@ -16,6 +16,7 @@ from kinematics.joint.noise_levels import ChannelLevels, channel_levels, pooled_
 from kinematics.joint.pack import Readings, pack
 from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.arrays import Array, ComplexArray
+from stapeskit.faults import StapeskitError
 from stapeskit.warnings import Notice
 
 FLOOR = 1e-12
@@ -35,11 +36,22 @@ _START_ROUNDS = 20  # from the largest amplitude down to the noise next to drop-
 def fit_with_noise(
     measurement: Measurement, run: int, body: BodyChannels, beams: BeamSet, robust: str = "none"
 ) -> tuple[LineFit, list[Notice]]:
-    """Fit one body in one run with its noise; a notice says so where that is estimated or unknown."""
+    """Fit one body in one run with its noise; a notice says so where that is estimated or unknown.
+
+    Raises
+    ------
+    StapeskitError
+        A robust fit without stated noise has one spare channel: its residuals do not show their scale.
+    """
     value, rate = body.value[run], measurement.per_displacement
     sd = assumed_sd(body, run)
     if body.is_noise_stated:
         return fit_lines(beams, value, sd, rate, robust), []
+    spare = int(np.count_nonzero(np.isfinite(value).any(axis=1))) - len(beams.dof)
+    if robust != "none" and spare == 1:
+        want = "at least two more than degrees of freedom for a robust fit without stated noise"
+        step = "State the noise (sd), or leave --robust out: one spare channel shows no value far off"
+        raise StapeskitError.of(f"the channels of body {body.body}", want, "one more", "", step)
     levels, start = _levels(measurement, body, beams, run, sd, robust)
     if body.sd is None:
         sd = np.broadcast_to(levels.level[:, None] * sd[:, :1], sd.shape)
@@ -140,21 +152,23 @@ def robust_residuals(rows: Array, value: ComplexArray, sd: Array) -> Residuals:
 
     Notes
     -----
-    The median of |residual|^2 is ln 2 of its mean (chi2 of two degrees of freedom).
+    The median of |residual|^2 is ln 2 of its mean (chi2 of two degrees of freedom), of which the motion takes
+    the share of its columns.
     """
-    level = 1.0
+    level, kept = 1.0, max(1.0 - rows.shape[1] / max(len(value), 1), 1.0 / max(len(value), 1))
     for _ in range(_START_ROUNDS):
         z = solve(rows, value, level * sd, "huber").z
         left = (value - rows @ z) / sd
         square = 0.5 * np.abs(left) ** 2 / np.log(2.0)
         known = np.isfinite(square)
-        before, level = level, max(float(np.sqrt(np.median(square[known]))) if known.any() else 1.0, FLOOR)
+        middle = float(np.median(square[known])) if known.any() else 1.0
+        before, level = level, max(float(np.sqrt(middle / kept)), FLOOR)
         if abs(level - before) < _SETTLED * before:
             break
     own = [
         float(np.median(one[some])) if some.any() else 0.0 for one, some in zip(square, known, strict=True)
     ]
-    usual = np.maximum(own, level**2)[:, None]
+    usual = np.maximum(own, kept * level**2)[:, None]
     return Residuals(z, left, rows @ z / sd, np.log(2.0) * square / usual, level)
 
 

@@ -5,8 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinematics.fit.beams import beam_set
 from kinematics.fit.lsq import solve
+from kinematics.fit.noise import fit_with_noise
 from kinematics.fit.rigid_fit import fit_lines
+from kinematics.measurement import BodyChannels, Measurement
+from stapeskit.faults import StapeskitError
+from stapeskit.spatial import DOF_NAMES
 from tests.motion.bodies import as_measurement, fitted, recorded
 
 
@@ -208,3 +213,30 @@ def test_lines_at_which_a_body_was_not_measured_leave_the_others_as_they_are(lev
     _, (dense,) = fitted(replace(whole, freq_hz=whole.freq_hz[1::2], bodies=(alone,)))
     assert np.allclose(holed.q[1::2], dense.q, rtol=1e-9, atol=0.0)
     assert np.allclose(holed.covariance[1::2], dense.covariance, rtol=0.1, atol=0.0)
+
+
+def _of_noise(channels, dof):
+    """Return a body without motion and without stated noise, its points in 3D or all seen along y."""
+    rng, count = np.random.default_rng(1), channels if len(dof) == 3 else channels // 3
+    beams = np.tile([[0.0, 1.0, 0.0]], (channels, 1)) if len(dof) == 3 else np.tile(np.eye(3), (count, 1))
+    places = np.repeat(rng.uniform(-2e-3, 2e-3, (count, 3)), channels // count, axis=0)
+    names = tuple(str(channel * count // channels) for channel in range(channels))
+    body = BodyChannels("stapes", names, places, beams, 1e-9 * noise_of(rng, (channels, 80))[None])
+    placed = Measurement("footplate", ("1",), np.linspace(400.0, 5000.0, 80), (body,), "displacement")
+    return placed, body, beam_set("stapes", body.arms_m, beams, dof)
+
+
+@pytest.mark.parametrize("kind", ["huber", "t4"])
+@pytest.mark.parametrize(("channels", "dof"), [(5, ("y", "alpha", "gamma")), (9, DOF_NAMES)])
+def test_noise_of_robust_fits_of_few_points_is_found(kind, channels, dof):
+    """The motion takes most of the noise of few channels: a start that forgets it is 5 times too low."""
+    placed, body, beams = _of_noise(channels, dof)
+    fit, _ = fit_with_noise(placed, 0, body, beams, kind)
+    sd = np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2).real / 2.0)
+    assert np.sqrt(np.mean(np.abs(fit.q / sd) ** 2) / 2.0) < 2.0
+
+
+def test_a_robust_fit_with_one_spare_channel_and_unknown_noise_is_refused():
+    placed, body, beams = _of_noise(4, ("y", "alpha", "gamma"))
+    with pytest.raises(StapeskitError):
+        fit_with_noise(placed, 0, body, beams, "huber")
