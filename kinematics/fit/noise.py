@@ -155,7 +155,8 @@ def robust_residuals(rows: Array, value: ComplexArray, sd: Array) -> Residuals:
     The median of |residual|^2 is ln 2 of its mean (chi2 of two degrees of freedom), of which the motion takes
     the share of its columns.
     """
-    level, kept = 1.0, max(1.0 - rows.shape[1] / max(len(value), 1), 1.0 / max(len(value), 1))
+    level, live = 1.0, max(int(np.count_nonzero(np.isfinite(value).any(axis=1))), 1)
+    kept = max(live - rows.shape[1], 1) / live
     for _ in range(_START_ROUNDS):
         z = solve(rows, value, level * sd, "huber").z
         left = (value - rows @ z) / sd
