@@ -12,7 +12,8 @@ from fitting.solve import Fit, minimise
 from stapeskit.arrays import Array
 
 _WEAK = 0.25  # relative sd of K: the deflection goes with 1 / K, which departs from linear by its square, 6 %
-_FARTHEST = 20.0  # sd or values that a weak entry is followed
+_FARTHEST = 1e3  # sd or values that a weak entry is followed
+_STRIDE = 4.0
 _CLOSE = 0.8  # of a point inside an interval to one outside, between which its end is taken
 _LOSS_FACTOR = 1.0  # to which damping follows a weak stiffness: of soft tissue it is below
 
@@ -31,7 +32,7 @@ def weak_spread(found: Fit) -> Array:
     weak = sd >= _WEAK * np.abs(found.theta[places])
     columns = np.zeros((len(found.theta), n))
     for number in np.flatnonzero(weak[:n]) if found.weights is None else ():
-        columns[:, number] = _reach(found, int(places[number]), float(sd[number]))
+        columns[:, number] = _reach(found, int(number), int(places[number]), float(sd[number]))
     size = np.linalg.norm(columns, axis=1)
     most = np.max(np.abs(columns), axis=1)
     own, lossy = places[:n], places[n:]
@@ -43,30 +44,55 @@ def weak_spread(found: Fit) -> Array:
     return share[:, None] * columns[:, np.any(columns, axis=0)]
 
 
-def _reach(found: Fit, place: int, sd: float) -> Array:
-    """Return the column (p,) of one entry; zeros where the interval of its sd holds as much.
-
-    Chi2 has to rise by that of 95 % times what the information is overstated by, noise of the regressor,
-    which grows with the entry.
-    """
-    model, overstated = found.likelihood.model, found.covariance[place, place] / found.inverse[place, place]
-    value = float(np.sum(found.likelihood.residuals(found.theta) ** 2))
+def _reach(found: Fit, number: int, place: int, sd: float) -> Array:
+    """Return the column (p,) of one entry; zeros where the interval of its sd holds as much."""
     farthest = _FARTHEST * max(sd, abs(found.theta[place]))
     way = found.covariance[:, place] / found.covariance[place, place]
     first = far = 1.96 * sd
     inside, outside = 0.0, np.inf
     while inside < farthest and far < _CLOSE * outside:
-        held = replace(model, held=(*model.held, (place, found.theta[place] + far, 1e-2 * sd)))
-        likelihood = Likelihood(found.data, held, found.noise)
-        try:
-            theta, risen, _, _ = minimise(likelihood, found.theta + far * way, 1e-4, 40)
-            there, known = found.likelihood.covariance(theta)
-            more = max(overstated, there[place, place] / known[place, place])
-        except np.linalg.LinAlgError:
-            risen, more = np.inf, overstated
-        if risen - value < 1.96**2 * more:
-            inside, way, overstated = far, (theta - found.theta) / far, more
+        stiffer = _stiffened(found, number, 1.0 + far / max(found.theta[place], 1e-3 * sd))
+        for start in (found.theta + far * way, stiffer):
+            theta = _held(found, place, far, sd, start)
+            if theta is not None:
+                inside, way = far, (theta - found.theta) / far
+                break
         else:
             outside = far
-        far = min(2.0 * far, farthest) if outside == np.inf else float(np.sqrt(max(inside, first) * outside))
+        far = min(_STRIDE * far, farthest) if outside == np.inf else float(np.sqrt(max(inside, first) * outside))
     return np.sqrt(max((far / 1.96) ** 2 - sd**2, 0.0)) * way
+
+
+def _stiffened(found: Fit, number: int, factor: float) -> Array:
+    """Return theta with K and D of one degree of freedom times a factor."""
+    root = np.ones(found.likelihood.n)
+    root[number] = np.sqrt(factor)
+    theta = found.theta.copy()
+    theta[found.at["entries"]] *= np.tile(entries.vector(np.outer(root, root)), 2)
+    return theta
+
+
+def _held(found: Fit, place: int, far: float, sd: float, start: Array) -> Array | None:
+    """Return theta where one entry lies far from its estimate and all else fits, where noise allows that."""
+    own = found.likelihood
+    held = replace(own.model, held=(*own.model.held, (place, found.theta[place] + far, 1e-2 * sd)))
+    try:
+        theta, risen, _, _ = minimise(Likelihood(found.data, held, found.noise), start, 1e-4, 40)
+        risen -= float(np.sum(own.residuals(found.theta) ** 2))
+        return theta if risen < _rise_by_noise(own, found.theta, theta) else None
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _rise_by_noise(likelihood: Likelihood, near: Array, far: Array) -> float:
+    """Return by how much chi2 may rise from a minimum to the truth, in 95 % of cases.
+
+    At either point chi2 is 2 n^H P n of the noise n, with projectors P, P' of rank n; the two differ by
+    noise alone with the variance V = 8 sum(n - |P P'|^2), and where a signal raises chi2 by S at the wrong
+    point, by -S +- sqrt(4 S + V). Of all S this is largest where 4 S + V = 4 * 1.96^2: 1.96^2 + V / 4; with
+    more noise at S = 0: 1.96 sqrt(V).
+    """
+    _, whitening, _, _ = likelihood.look(far)
+    cross = whitening @ likelihood.act(far, likelihood.look(near)[2])
+    varied = 8.0 * max(likelihood.n * likelihood.data.count - float(np.sum(np.abs(cross) ** 2)), 0.0)
+    return float(1.96**2 + 0.25 * varied if varied < 4.0 * 1.96**2 else 1.96 * np.sqrt(varied))
