@@ -13,7 +13,7 @@ from stapeskit.arrays import Array
 
 _WEAK = 0.25  # relative sd of K: the deflection goes with 1 / K, which departs from linear by its square, 6 %
 _FARTHEST = 1e3  # sd or values that a weak entry is followed
-_STRIDE = 4.0
+_STRIDE = 4.0  # of one try to the next as long as none was too far
 _CLOSE = 0.8  # of a point inside an interval to one outside, between which its end is taken
 _LOSS_FACTOR = 1.0  # to which damping follows a weak stiffness: of soft tissue it is below
 
@@ -23,8 +23,8 @@ def weak_spread(found: Fit) -> Array:
 
     Where the deflection drowns in the noise, a stiffness that is much too small lowers chi2 by no more than
     noise does, and its sd falls with it. Chi2 is followed over each such entry of the diagonal of K to where
-    it has risen by that of a 95 % interval. All unknowns move along, each no farther than by one of these
-    ways, or by its own; entries that are not weak keep their sd.
+    it has risen by more than noise lets it between two such points. All unknowns move along, each no farther
+    than by one of these ways, or by its own; entries that are not weak keep their sd.
     """
     n = found.likelihood.n
     places = np.array(entries.diagonals(n))
@@ -59,7 +59,11 @@ def _reach(found: Fit, number: int, place: int, sd: float) -> Array:
                 break
         else:
             outside = far
-        far = min(_STRIDE * far, farthest) if outside == np.inf else float(np.sqrt(max(inside, first) * outside))
+        far = (
+            min(_STRIDE * far, farthest)
+            if outside == np.inf
+            else float(np.sqrt(max(inside, first) * outside))
+        )
     return np.sqrt(max((far / 1.96) ** 2 - sd**2, 0.0)) * way
 
 

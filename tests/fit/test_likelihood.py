@@ -195,6 +195,14 @@ def test_estimates_reach_the_bound_with_honest_intervals():
     assert agrees(np.mean(inside), 0.95, 480, correlated=3.0)
 
 
+# Chi2 at the truth, 15 above its least, was taken for a refutation: errors of 4 to 10 sd.
+@pytest.mark.parametrize("seed", [0, 7, 11])
+def test_a_band_far_below_the_poles_states_no_stiffness_that_noise_alone_made(seed):
+    result = fit(paper_motion(0.02, seed, 40, band=(50.0, 200.0))[0], M)
+    assert result.verdict.level == "do not use"
+    assert np.abs(deviation(result)).max() < 2.0
+
+
 def test_information_less_the_noise_of_the_regressor_is_that_of_exact_motion():
     """Noise of the fitted motion adds to J^T J, but no information; pairs of opposite noise show how much."""
     motion, _ = paper_motion(0.2, None, 60)

@@ -176,7 +176,7 @@ def test_no_interval_of_a_mode_reaches_below_zero():
     assert low > 0.0
     assert low * high == pytest.approx(500.0**2)
     assert Quantity(500.0, 900.0, HERTZ, positive=True).limits is None
-    page_text = str(_modes(fit(paper_motion(1.5, 3, 20)[0], M))[0])
+    page_text = str(_modes(fit(paper_motion(1.5, 4, 20)[0], M))[0])
     assert "95 % interval -" not in page_text
     assert "undetermined" in page_text
 
