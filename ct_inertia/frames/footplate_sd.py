@@ -33,6 +33,7 @@ _ALL_OF_BLUR = 0.5  # of its variance times the curvature of an edge: the shift 
 _EDGE_LEFT = calibrated("footplate.edge_left")
 _LONG_AXIS_LEFT_RAD = calibrated("footplate.long_axis_left_rad")
 _TILT_LEFT = calibrated("footplate.tilt_left")
+_HEIGHT_LEFT_MM = calibrated("footplate.height_left_mm")
 _CUT_RADII = 1.5  # of a cut as a disc: it is longer than it is wide
 _MESH_BLUR = calibrated("footplate.mesh_blur")
 
@@ -47,8 +48,9 @@ def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Arra
     Edges that a blur of covariance C hides err by a share of n^T C n times their curvature, each part of the
     rim by itself; coarse slices blur one direction more, on whole sides of the rim. What one more step of
     diffusion changes shows how sensitive this shape is to its scale; bends of real bone that the scan does
-    not show turn the plane either way, as much as that step does on average. A mesh of unknown origin may
-    have been cut from a blurred picture: that blur is taken back as a trial.
+    not show turn the plane either way, as much as that step does on average. Two tilts of one shape measure
+    that badly: their variance is averaged with that of all shapes. A mesh of unknown origin may have been cut
+    from a blurred picture: that blur is taken back as a trial.
     """
     region, y_axis = solved.region, solved.axes[:, 1]
     influence = Influence(solved)
@@ -77,8 +79,8 @@ def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Arra
     step = _displacement(solved, smoother)
     parts["resolution"] = wanting**2 * np.outer(step, step)
     extent = influence.extent[[2, 0]]
-    heights = float(np.mean(np.square(step[[3, 5]] * extent)))
-    parts["resolution"][[3, 5], [3, 5]] += _TILT_LEFT**2 * wanting * heights / extent**2
+    heights = _TILT_LEFT**2 * wanting * float(np.mean(np.square(step[[3, 5]] * extent)))
+    parts["resolution"][[3, 5], [3, 5]] += 0.5 * (heights + (1e-3 * _HEIGHT_LEFT_MM) ** 2) / extent**2
     return parts
 
 

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 
 from kinematics.readers.text import TEXT_ENDINGS, export_files
 from stapeskit.faults import StapeskitError
-from stapeskit.tables import decoded
 
 if TYPE_CHECKING:
     from kinematics.readers.recording import Recording
@@ -48,6 +47,7 @@ class Head:
         from kinematics.readers.psv import is_fastscan, is_of_point
         from kinematics.readers.sheets import sheets_of
         from kinematics.readers.wide import is_frequency
+        from stapeskit.tables import decoded
         from stapeskit.units import unit_of
 
         binary = self.content.startswith((_ZIP, _COMPOUND))
