@@ -217,17 +217,18 @@ class Session:
         study, pages, folder = self.study, self.pages, mass_folder(self.study)
         labels = [study.file("scan", "labels")] if study.labels_are_ours else []
         changed = max((_time(one) for one in (*study.kept.glob("*.csv"), *labels) if one), default=0)
-        mass = folder is not None and (_time(folder / MASS) < changed or self._other_scan(folder.name))
+        mass = folder is not None and (
+            _time(folder / MASS) < changed or self._measured_otherwise(folder.name)
+        )
         laid_anew = self.content("measured").get("laid_with") != laid_with(study)
-        fitted = _time(pages["K and D"]) if "K and D" in pages else changed + _time(study.path)
         old = {
             "mass (1 or 2)": mass,
             "measurement (4)": "measurement" in pages and (mass or laid_anew),
-            "K and D (5)": fitted < max(changed, _time(study.path)),
+            "K and D (5)": "K and D" in pages and _time(pages["K and D"]) < max(changed, _time(study.path)),
         }
         return [name for name, is_old in old.items() if is_old]
 
-    def _other_scan(self, name: str) -> bool:
+    def _measured_otherwise(self, name: str) -> bool:
         """Return whether ``found`` or ``cut`` was measured with other options than the study has."""
         try:
             given = self.study.mass_options(hand_work=name == "cut").given()

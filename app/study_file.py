@@ -56,7 +56,7 @@ def _stamp(path: Path) -> tuple[int, int] | None:
     return status.st_mtime_ns, status.st_size
 
 
-_CHOSEN_LATER = ("ldv.file", "ldv.points", "ldv.fiducials")
+_MAY_BE_MISSING = ("ldv.file", "ldv.points", "ldv.fiducials")  # when a study is opened: others can be chosen
 
 
 class StudyFile(OwnFile):
@@ -92,7 +92,7 @@ class StudyFile(OwnFile):
                     study.mass_options(hand_work=False)
                 elif name in study.tables:
                     kind.from_study(study.tables[name], study.path.name, study.path.parent)
-        raise_all(fault for fault in faults if fault.thing not in _CHOSEN_LATER)
+        raise_all(fault for fault in faults if fault.thing not in _MAY_BE_MISSING)
         return study
 
     @classmethod

@@ -32,6 +32,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
+# of the poses in turn; the real stapes twice, since it is what labs have
 FAMILIES = (
     "openear", "openear", "analytic", "foreign gutter", "foreign base", "foreign asymmetric", "foreign thick",
     "foreign curved", "foreign focus",

@@ -103,5 +103,5 @@ if __name__ == "__main__":
             test = noticed(target, file, text, other, tests).partition("[")[0].replace(".py::", ": ")
             rows.append((f"`{file}`", f"`{text}`", f"`{test}`" if test else NOTHING))
             print(*rows[-1], file=sys.stderr, flush=True)
-    print_table(("file", "number or sign", "first test that failed"), rows)
+    print_table(("file", "number or sign", "first test that failed, or file that did not load"), rows)
     print(f"{sum(row[-1] != NOTHING for row in rows)} of {len(rows)} noticed.")

@@ -172,8 +172,8 @@ class BodySurface:
     scan_from_index : ndarray, (4, 4)
         Index x, y, z of the field to scan coordinates, mm.
     blur_mm : float
-        Blur that is left in the surface, standard deviation: a third of the scan's for a fitted body; a
-        voxel's width for labels.
+        Blur that is left in the surface, standard deviation: `surface.blur_left` of what edges are
+        seen through for a fitted body; a voxel's width for labels.
     spread_mm2 : ndarray, (3, 3)
         Covariance, in scan axes, of what edges are seen through: blur, smoothing, interpolation.
     noise_mm4 : float

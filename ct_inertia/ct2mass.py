@@ -18,11 +18,18 @@ from ct_inertia.bodies import BodySurface, Labelled, MeasuredBody, Moments
 from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.anatomy import AnatomyHints
 from ct_inertia.frames.footplate import FootplateFrame, footplate_frame, pose_near
-from ct_inertia.frames.gap import FARTHEST_MM, WindowGap, window_gap
+from ct_inertia.frames.gap import WindowGap, fluid_contrast_at_rim, window_gap
 from ct_inertia.frames.plate_frame import MOST_SUNK, PlateFrame, plate_frame
 from ct_inertia.inputs import Inputs
 from ct_inertia.mass.properties import point_masses
-from ct_inertia.mass.sizes import impossible, measured_sizes, unsuitable, unusual_notice
+from ct_inertia.mass.sizes import (
+    check_mesh,
+    check_unit,
+    impossible,
+    measured_sizes,
+    unsuitable,
+    unusual_notice,
+)
 from ct_inertia.mass.ways import MassByWay, assumed_notice, disagreements, masses_by_way, not_stated
 from ct_inertia.options import MassOptions
 from ct_inertia.results import MassResult
@@ -48,7 +55,7 @@ _HEAVY = ("scipy.spatial", "scipy.sparse.linalg", "vtkmodules.vtkFiltersCore")
 
 @dataclass
 class _Work:
-    """What a run has found so far; ``scan`` is the grid of labels alone; a mesh has none of the last two."""
+    """What a run has found so far; a mesh has neither ``scan`` nor ``measured``."""
 
     options: MassOptions
     hints: AnatomyHints
@@ -157,7 +164,6 @@ def _small_inputs(options: MassOptions) -> _Work:
 
 def _mesh(work: _Work) -> tuple[Surface, Moments]:
     """Read a closed mesh of the stapes, which is taken as exact."""
-    from ct_inertia.mass.sizes import check_mesh
     from ct_inertia.surface.repair import read_mesh
 
     path = work.options.source
@@ -182,7 +188,6 @@ def _mesh(work: _Work) -> tuple[Surface, Moments]:
 def _measured_body(work: _Work, progress: Progress, inputs: Inputs) -> MeasuredBody:
     """Open the scan, find the stapes or take the labels, and measure it."""
     from ct_inertia.grey.measure import measure
-    from ct_inertia.mass.sizes import check_unit
     from ct_inertia.voxels.masks import used_box
 
     labelled = _labelled(work, progress, inputs)
@@ -331,23 +336,7 @@ def _gap(measured: MeasuredBody, footplate: FootplateFrame, surface: Surface) ->
 
     wall = contour(measured.wall.field, measured.wall.scan_from_index, largest=False)
     bodies = (measured.surface, measured.wall)
-    return window_gap(footplate, surface, wall, bodies, _medium_around(measured, footplate))
-
-
-def _medium_around(measured: MeasuredBody, footplate: FootplateFrame) -> float:
-    """Return the contrast, over bone's, of fluid at the rim, which may have been taken for a plate."""
-    from scipy.spatial import cKDTree
-
-    found, scene = measured.labelled, measured.scene
-    medium = 0.0 if scene is None else scene.media.get("soft", 0.0)
-    if found.plastic is None or not found.plate.any():
-        return medium
-    rim = footplate.scan_from_footplate.points(footplate.outline_mm)
-    plastic = found.box.scan_points(np.argwhere(found.plate)[:, ::-1])
-    plastic = plastic[np.all(np.abs(plastic - rim.mean(axis=0)) < np.ptp(rim, axis=0).max(), axis=1)]
-    if not len(plastic) or np.median(cKDTree(plastic).query(rim)[0]) > FARTHEST_MM:
-        return medium
-    return max(medium, (found.plastic - found.air) / (found.bone - found.air))
+    return window_gap(footplate, surface, wall, bodies, fluid_contrast_at_rim(measured, footplate))
 
 
 def _ways(work: _Work, moments: Moments, footplate: FootplateFrame) -> tuple[MassByWay, ...]:

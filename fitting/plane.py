@@ -26,7 +26,11 @@ from stapeskit.spatial import DOF_NAMES
 PISTON_DOF = ("y", "alpha", "gamma")
 INPLANE_DOF = ("x", "z", "beta")
 _MM = 1e-3
-_INFORMED = 0.9  # sd over that before, from which on a stiffness counts as told
+_INFORMED = 0.9  # sd over that without data, below which the data determine a stiffness
+# The grid of the posterior of a stiffness: up to 4 sd of the prior, down to a hundredth of that (stiffer than
+# nothing), and 8 sd of the data about the estimate in steps of a twentieth.
+_PRIOR_SD, _LEAST, _PRIOR_STEPS = 4.0, 0.01, 400
+_DATA_SD, _DATA_STEPS = 8.0, 321
 
 
 @cache
@@ -73,8 +77,8 @@ class InPlane:
 
     entries: Array  # (12,): of K_cc and D_cc, SI
     covariance: Array  # (12, 12)
-    # whether the in-plane equations fit and tell the stiffness along x and z; of what they do not tell, the
-    # usual ratio to the piston's is given
+    # whether the in-plane equations fit and determine the stiffness along x and z; where they leave one open,
+    # the usual ratio to the piston's is given
     determined: bool
     p_value: float | None  # of their chi2
 
@@ -89,7 +93,7 @@ def in_plane(found: Fit) -> InPlane:
     data, at, p_value = found.data, found.at, None
     parts = found.likelihood.parts(found.theta)
     lines = data.corrected(found.theta[at["shared"]], (parts.structure, parts.base), parts.mass)
-    scale, usual = entry_scale(found, data.columns), _usual(found, "stiffness")
+    scale, usual = entry_scale(found, data.columns), _by_ratio(found, "inplane_stiffness")
     weak = Prior(usual.mean / scale, usual.covariance / np.outer(scale, scale))
     model = Model(
         found.likelihood.model.law,
@@ -112,12 +116,12 @@ def in_plane(found: Fit) -> InPlane:
             continue
         p_value = float(chdtrc(6 * lines.count, chi2))
         if converged and p_value > _calibrated()["inplane_least_p"]:
-            return _determined(found, likelihood, weak, theta, covariance, p_value)
-    usual = _usual(found, "default")
+            return _with_usual_ratio(found, likelihood, weak, theta, covariance, p_value)
+    usual = _by_ratio(found, "inplane_default")
     return InPlane(usual.mean, usual.covariance, False, p_value)
 
 
-def _determined(
+def _with_usual_ratio(
     found: Fit, likelihood: Likelihood, weak: Prior, theta: Array, covariance: Array, p_value: float
 ) -> InPlane:
     """Combine the fitted K_cc and D_cc, SI, with the usual ratio as their prior.
@@ -127,7 +131,7 @@ def _determined(
     its posterior, for a normal compliance as precise as at this stiffness. The sd of the other entries grows
     with the square of the stiffness, at most to that of the usual ratio.
     """
-    usual, scale = _usual(found, "default"), entry_scale(found, found.data.columns)
+    usual, scale = _by_ratio(found, "inplane_default"), entry_scale(found, found.data.columns)
     count, usual_sd = len(scale), np.sqrt(np.diag(usual.covariance))
     entries, sd = theta[:count] * scale, np.sqrt(np.maximum(np.diag(covariance)[:count], 1e-300)) * scale
     there, _ = likelihood.covariance(np.concatenate([usual.mean / scale, theta[count:]]))
@@ -137,7 +141,7 @@ def _determined(
         for spread, at in ((covariance, entries), (there, usual.mean))
     ]
     places = diagonal(3)
-    means, after, told = _stiffnesses(
+    means, after, determined = _posterior_stiffnesses(
         entries[places], np.transpose(precision)[places], usual.mean[places], usual_sd[places]
     )
     grown = np.maximum(np.hypot(means, after) / np.maximum(entries[places], sd[places]), 1.0)
@@ -145,21 +149,21 @@ def _determined(
     widened = np.minimum(widened, np.maximum(usual_sd, sd))
     entries[places], widened[places] = means, after
     factor = scale * widened / sd
-    return InPlane(entries, covariance[:count, :count] * np.outer(factor, factor), told, p_value)
+    return InPlane(entries, covariance[:count, :count] * np.outer(factor, factor), determined, p_value)
 
 
-def _stiffnesses(
+def _posterior_stiffnesses(
     fitted: Array, precisions: Array, usual: Array, usual_sd: Array
 ) -> tuple[Array, Array, bool]:
-    """Return means and sd of the stiffnesses of x, z, beta, and whether the data tell those of x and z."""
-    means, sds, told = np.zeros(3), np.zeros(3), list[bool]()
+    """Return means and sd of the stiffnesses of x, z, beta, and whether data determine those of x and z."""
+    means, sds, determined = np.zeros(3), np.zeros(3), list[bool]()
     for place in range(3):
         expected = float(usual[place]), float(usual_sd[place])
         near, far = precisions[place].tolist()
         means[place], sds[place] = _posterior_of_stiffness(float(fitted[place]), (near, far), *expected)
         _, unseen = _posterior_of_stiffness(expected[0], (0.0, 0.0), *expected)
-        told.append(bool(sds[place] < _INFORMED * unseen))
-    return means, sds, all(told[:2])
+        determined.append(bool(sds[place] < _INFORMED * unseen))
+    return means, sds, all(determined[:2])
 
 
 def _posterior_of_stiffness(
@@ -169,11 +173,12 @@ def _posterior_of_stiffness(
 
     Its precision (1 / sd) is known at the fitted and at the usual stiffness; between, by the logarithms.
     """
-    most = usual + 4.0 * usual_sd
-    fitted = max(fitted, 0.01 * most)
-    near = 1.0 / fitted + np.linspace(-8.0, 8.0, 321) / max(precision[0], 1e-300)
-    near = near[(near > 1.0 / most) & (near < 100.0 / most)]
-    stiffness = np.unique(np.concatenate([np.linspace(0.01, 1.0, 400) * most, 1.0 / near]))
+    most = usual + _PRIOR_SD * usual_sd
+    fitted = max(fitted, _LEAST * most)
+    steps = np.linspace(-_DATA_SD, _DATA_SD, _DATA_STEPS)
+    near = 1.0 / fitted + steps / max(precision[0], 1e-300)
+    near = near[(near > 1.0 / most) & (near < 1.0 / (_LEAST * most))]
+    stiffness = np.unique(np.concatenate([np.linspace(_LEAST, 1.0, _PRIOR_STEPS) * most, 1.0 / near]))
     way = np.log(stiffness / fitted) / np.log(usual / fitted) if usual != fitted else np.zeros(len(stiffness))
     way = np.clip(way, 0.0, 1.0)
     between = max(precision[0], 1e-300) ** (1.0 - way) * max(precision[1], 1e-300) ** way
@@ -190,9 +195,9 @@ def usual_ratio() -> str:
     return f"{known['inplane_default']:g} ± {known['inplane_default_sd']:g}"
 
 
-def _usual(found: Fit, name: str) -> Prior:
+def _by_ratio(found: Fit, name: str) -> Prior:
     """Return K_cc and D_cc, SI, by a calibrated ratio to the piston's: torsion that of a ring of 1 mm."""
-    ratio, ratio_sd = (_calibrated()[f"inplane_{name}{ending}"] for ending in ("", "_sd"))
+    ratio, ratio_sd = (_calibrated()[name + ending] for ending in ("", "_sd"))
     scale = entry_scale(found)
     stiffness = found.theta[0] * scale[0]
     least = 0.05 * stiffness / found.data.reference**found.law.time_power

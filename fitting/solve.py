@@ -84,7 +84,7 @@ class Fit:
 
     @property
     def distances(self) -> Array:
-        """Squared distances of the lines from the model, (lines,): those that made the robust weights."""
+        """Squared distances (lines,) of the lines from the model; of a robust fit those of its weights."""
         if self.weights is None:
             return np.asarray(2.0 * np.sum(np.abs(self.likelihood.look(self.theta)[0]) ** 2, axis=1))
         return (_STUDENT + 2 * self.likelihood.n) / self.weights - _STUDENT

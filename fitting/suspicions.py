@@ -22,7 +22,7 @@ from stapeskit.warnings import Notice
 # share of it below which one is reported: a right reading explains a hundred times more.
 _BAD, _BETTER = 4.0, 0.2
 _UNITS = 25.0  # chi2 per degree of freedom that shared errors leave in the right units; outliers leave more
-_SURE = 1.5  # the same where errors of M look alike: noise, and little else
+_SURE = 1.5  # the same of readings that errors of M look like: those leave more
 _DECISIVE = 50.0  # fall of chi2 from which one of two readings is sure: odds e^25
 # Geometric mean of rotation times 1 mm over displacement of both bodies: up to 2.2 for ears and shakers in
 # radians (rocking at resonance 5, base rocking 1), in degrees 57 times as much of 0.15 or more.
@@ -40,6 +40,7 @@ class Reading:
     read: Callable[[Data], Data]
     mild: bool = False  # tried in a small misfit too: an ear that hardly rocks hardly shows it
     most: float = np.inf  # chi2 per degree of freedom above which it is not reported
+    of_columns: bool = False  # it changes some columns against others: without rotations nothing shows that
 
 
 def _mapped(data: Data, matrix: Array) -> Data:
@@ -72,7 +73,9 @@ _SI = "Write metres and radians, and M in SI units"
 _FRAME = "Correct the columns, or M: with a frame of the other hand they look alike"
 _READINGS = (
     *(
-        Reading("unit_slip", f"{what}: in SI units the motion fits", _SI, _rotations(size), mild, _UNITS)
+        Reading(
+            "unit_slip", f"{what}: in SI units the motion fits", _SI, _rotations(size), mild, _UNITS, True
+        )
         for what, size, mild in (
             ("Rotations look like degrees", float(np.radians(1.0)), True),
             ("Rotations look like milliradians", 1e-3, False),
@@ -97,13 +100,15 @@ _READINGS = (
         lambda data: _mapped(data, np.roll(np.eye(2 * len(data.measured)), len(data.measured), axis=0)),
     ),
     *(
-        Reading("phase_convention", f"{what}: so read the motion fits", _FRAME, _columns(read), most=_SURE)
+        Reading(
+            "phase_convention", f"{what}: so read the motion fits", _FRAME, _columns(read), False, _SURE, True
+        )
         for what, read in (
             ("All rotations look of the other sign", np.diag([1, 1, 1, -1, -1, -1])),
             ("alpha and gamma look exchanged", np.eye(6)[[0, 1, 2, 5, 4, 3]]),
             *(
                 (f"{DOF_NAMES[place]} looks of the other sign", np.eye(6) - 2.0 * np.diag(np.eye(6)[place]))
-                for place in (0, 2, 3, 5)
+                for place in (0, 2, 3, 5)  # y turned is all others turned; beta hardly enters
             ),
         )
     ),
@@ -124,7 +129,7 @@ def suspicions(data: Data, options: KDOptions) -> list[Notice]:
     tried = [
         (_level(reading.read(bare), model), number, reading)
         for number, reading in enumerate(_READINGS)
-        if (own >= _BAD or (reading.mild and misfit)) and (mixed or reading.most == np.inf)
+        if (own >= _BAD or (reading.mild and misfit)) and (mixed or not reading.of_columns)
     ]
     for level, _, reading in sorted(tried)[:1]:
         sure = misfit and chdtrc(n_dof, n_dof * level) > MISFIT_P and n_dof * (own - level) > _DECISIVE

@@ -12,8 +12,8 @@ from fitting.solve import Fit, minimise
 from stapeskit.arrays import Array
 
 _WEAK = 0.25  # relative sd of K: the deflection goes with 1 / K, which departs from linear by its square, 6 %
-_FARTHEST = 1e3  # sd or values that a weak entry is followed
-_STRIDE = 4.0  # of one try to the next as long as none was too far
+_FARTHEST = 1e3  # sd or values that a weak entry is followed: noise makes a K 1/100 of the true one
+_STRIDE = 4.0  # of one try to the next as long as none was too far: five tries to the farthest
 _CLOSE = 0.8  # of a point inside an interval to one outside, between which its end is taken
 _LOSS_FACTOR = 1.0  # to which damping follows a weak stiffness: of soft tissue it is below
 

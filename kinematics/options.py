@@ -148,7 +148,10 @@ class MotionOptions(Options):
     ] = False
     gain_sd_percent: Annotated[
         Percent,
-        Opt("sd of gains of lasers, percent, 0.5 degrees and 1 us with each percent; 0: exact", _LASERS),
+        Opt(
+            "sd of gains of lasers, percent, with 0.5 degrees of phase and 1 us for each; 0: exact",
+            _LASERS,
+        ),
     ] = 1.0
 
     body: Annotated[

@@ -105,7 +105,7 @@ class Recording:
         return [c for c, pair in enumerate(pairs) if pair[0] == body and point in (None, pair[1])]
 
     def coherence(self) -> Array:
-        """Return g2 (R, C, L) of so many averages; the noise |v| sqrt((1 - g2) / (2 n g2)) scatters by it."""
+        """Return g2 (R, C, L) of `AVERAGES`; the noise |v| sqrt((1 - g2) / (2 n g2)) scatters by it."""
         relative = self.sd_m_s / np.maximum(np.abs(self.velocity_m_s), 1e-300)
         energy = np.random.default_rng(AVERAGES).chisquare(2 * (AVERAGES - 1), relative.shape)
         return np.asarray(1.0 / (1.0 + energy * relative**2))

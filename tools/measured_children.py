@@ -1,4 +1,4 @@
-"""Let children that read files write down the statements they reached before each answer: they end by a kill.
+"""Save the coverage of sandboxed children before each answer: they are killed, and would save nothing.
 
 A plugin of pytest, for `make coverage`.
 """

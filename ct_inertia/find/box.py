@@ -95,8 +95,8 @@ def _repeated_slices(scan: Scan, overview: Overview, z: slice, y: slice, x: slic
     """Return the slices that repeat the one before; refuse blank ones between two parts of the picture.
 
     Without noise or where air was clipped, slices of air between bodies are blank, and slices may be alike:
-    there only a single blank slice is refused, and nothing is a copy. Nor are copies many: then each slice
-    was interpolated from the nearest one. Voxels 40 um apart along x and y are looked at, two at least.
+    there only a single blank slice is refused, and nothing is a copy. Where more than a quarter of the slices
+    are copies, the scan was interpolated. Voxels 40 um apart along x and y are looked at, two at least.
 
     Raises
     ------

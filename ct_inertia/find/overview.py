@@ -264,7 +264,7 @@ def _outside(grey: Grey, value: float, from_corners: bool) -> Mask | None:
         touching = np.zeros(int(labels.max()) + 1, dtype=bool)
         touching[np.concatenate(faces)] = True
         touching[0] = False
-        reached = grown(_taken(touching, labels)) & same
+        reached = grown(_looked_up(touching, labels)) & same
         del solid, labels
     joined = cc3d.connected_components(same, connectivity=6)  # also slivers that are thinner than two voxels
     facts = cc3d.statistics(joined, no_slice_conversion=True)
@@ -274,11 +274,11 @@ def _outside(grey: Grey, value: float, from_corners: bool) -> Mask | None:
     for layer, near in zip(joined, reached, strict=True):
         chosen[layer[near]] = True
     chosen[0] = False
-    outside = _taken(chosen, joined)
+    outside = _looked_up(chosen, joined)
     enough = outside.any() and (not from_corners or np.mean(outside) >= _LEAST_PADDING)
     return outside if enough else None
 
 
-def _taken(chosen: Mask, labels: NDArray[Any]) -> Mask:
+def _looked_up(chosen: Mask, labels: NDArray[Any]) -> Mask:
     """Return ``chosen[labels]``, whose index as a whole would take eight bytes a voxel."""
     return np.stack([chosen[layer] for layer in labels])

@@ -80,7 +80,7 @@ def contributions_of(solved: Solved, body: BodySurface | None) -> dict[str, Arra
     parts["resolution"] = wanting**2 * np.outer(step, step)
     extent = influence.extent[[2, 0]]
     heights = _TILT_LEFT**2 * wanting * float(np.mean(np.square(step[[3, 5]] * extent)))
-    parts["resolution"][[3, 5], [3, 5]] += 0.5 * (heights + (1e-3 * _HEIGHT_LEFT_MM) ** 2) / extent**2
+    parts["resolution"][[3, 5], [3, 5]] += 0.5 * (heights + _HEIGHT_LEFT_MM**2) / extent**2
     return parts
 
 

@@ -1,8 +1,8 @@
 """The gap between the rim of the footplate and the wall of the oval window, which the ligament bridges.
 
 The definition. The rim is what of the stapes looks outward along the plane of the medial face, from 0.3 mm
-below the lowest point of that face to 0.45 mm above it, both surfaces averaged over 0.05 mm: of rough ones
-the bumps would be nearest. The gap at a place of the rim is the shortest distance to the surface of other
+below the lowest point of that face to 0.45 mm above it. Both surfaces are averaged over 0.05 mm, since bumps
+of rough ones would be nearest. The gap at a place of the rim is the shortest distance to the surface of other
 bone that looks back, where that is at most 0.25 mm, averaged over the layer of 0.03 mm where that is least
 around the place; as a number the median over equal steps along the outline.
 """
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.bodies import BodySurface
+from ct_inertia.bodies import BodySurface, MeasuredBody
 from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.footplate import FootplateFrame
 from ct_inertia.frames.footplate_face import EDGE_MM, NORMAL_SCALE_MM
@@ -35,7 +35,7 @@ _APART = 3  # places between which noise has nothing in common
 _LEAST_POINTS = 0.25  # of those of the fullest layer: a layer with fewer is the end of what looks outward
 _LEAST_SHARE = 0.5  # of the rim with a wall opposite, below which the median says nothing about the rest
 _MOST_SD = 0.5  # of the gap, above which it is not stated: zero is within two standard deviations
-_CHOSEN_BY_NOISE = 0.2  # of the noise of a place: what it shares with those around it, in the least of two
+_CHOSEN_BY_NOISE = 0.2  # bias by choosing the nearest layer, over the noise of one place
 _TAILS_SD, _EDGES_SD = calibrated("gap.tails_sd"), calibrated("gap.edges_sd")
 
 
@@ -85,8 +85,8 @@ def window_gap(
     Both surfaces move with the level. Second differences of the gap over places farther apart than what is
     averaged show the noise of one place, six times its variance: the median of n places, every third by
     itself, has pi / 2 times 3 / n of it; and noise chooses the layer where the rim is nearest. Two surfaces
-    that are near share their tails, and blur leaves edges rounded. In a gap that blur fills, fluid of a
-    contrast c is not told from bone: half of it moves each edge by c / 2 times sqrt(2 pi) blur widths.
+    that are near share their tails, and blur leaves edges rounded. In a gap narrower than the blur, fluid
+    of a contrast c looks like bone: half of it moves each edge by c / 2 times sqrt(2 pi) blur widths.
     """
     to_footplate = footplate.scan_from_footplate.inverse()
     places, outward = _places(footplate.outline_mm)
@@ -107,6 +107,22 @@ def window_gap(
         return None
     harmonic = float(1.0 / np.mean(1.0 / widths))
     return WindowGap(median, sd, harmonic, float(np.std(widths)), share, places, along)
+
+
+def fluid_contrast_at_rim(measured: MeasuredBody, footplate: FootplateFrame) -> float:
+    """Return the contrast, over bone's, of fluid at the rim, which may have been taken for a plate."""
+    from scipy.spatial import cKDTree
+
+    found, scene = measured.labelled, measured.scene
+    medium = 0.0 if scene is None else scene.media.get("soft", 0.0)
+    if found.plastic is None or not found.plate.any():
+        return medium
+    rim = footplate.scan_from_footplate.points(footplate.outline_mm)
+    plastic = found.box.scan_points(np.argwhere(found.plate)[:, ::-1])
+    plastic = plastic[np.all(np.abs(plastic - rim.mean(axis=0)) < np.ptp(rim, axis=0).max(), axis=1)]
+    if not len(plastic) or np.median(cKDTree(plastic).query(rim)[0]) > FARTHEST_MM:
+        return medium
+    return max(medium, (found.plastic - found.air) / (found.bone - found.air))
 
 
 def _standard_deviation(
@@ -173,10 +189,10 @@ def _distances(rim: tuple[Array, Array], wall: tuple[Array, Array], places: Arra
     ahead = np.sum(step[:, [0, 2]] * outward[owner], axis=1) > _FACING * length
     opposite = np.sum(against * normals, axis=1) < -_FACING
     seen = ahead & opposite & (across > 0.0) & (distance < FARTHEST_MM)
-    return _least(distance[seen], points[seen, 1], owner[seen], len(places))
+    return _at_nearest_layer(distance[seen], points[seen, 1], owner[seen], len(places))
 
 
-def _least(distance: Array, height: Array, owner: NDArray[np.intp], count: int) -> Array:
+def _at_nearest_layer(distance: Array, height: Array, owner: NDArray[np.intp], count: int) -> Array:
     """Return the mean distance (count,) at each place over the layer where the rim is nearest around it."""
     gap = np.full(count, np.nan)
     if not len(distance):
@@ -187,8 +203,9 @@ def _least(distance: Array, height: Array, owner: NDArray[np.intp], count: int) 
     number, total = (np.bincount(cell, each, gap.size * shape[1]).reshape(shape) for each in (None, distance))
     turns = range(-_NEIGHBOURS, _NEIGHBOURS + 1)
     around, sums = (np.sum([np.roll(one, k, axis=0) for k in turns], axis=0) for one in (number, total))
-    mean = np.where(around >= _LEAST_POINTS * around.max(axis=1, keepdims=True), sums, np.inf)
-    best = np.arange(count), np.argmin(mean / np.maximum(around, 1), axis=1)
+    enough = around >= _LEAST_POINTS * around.max(axis=1, keepdims=True)
+    mean = np.where(enough, sums / np.maximum(around, 1), np.inf)
+    best = np.arange(count), np.argmin(mean, axis=1)
     there = number[best] > 0
     gap[there] = total[best][there] / number[best][there]
     return gap

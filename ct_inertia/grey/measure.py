@@ -19,13 +19,11 @@ from ct_inertia.grey.parts import StapesParts
 from ct_inertia.grey.plate_plane import plate_surface
 from ct_inertia.grey.scene import SceneFit, fit_scene
 from ct_inertia.grey.separation import bone_border
-from ct_inertia.grey.slices import with_breaks
+from ct_inertia.grey.slice_breaks import with_breaks
 from ct_inertia.grey.start import start
 from ct_inertia.grey.storing import storing_around
 from ct_inertia.voxels.fields import Grey
 from stapeskit.arrays import return_memory
-
-_LOUD = 5e-3  # share of the volume that noise leaves uncertain: twice that of white noise of 20 %
 
 
 def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
@@ -76,9 +74,8 @@ def measure(labelled: Labelled, coat: Coat | None = None) -> MeasuredBody:
         _share(amount, parts, moments) for amount in (parts.soft, fit.media.void_share, unstated)
     )
     uneven = float(_share(uneven_air(parts), parts, moments) / np.sqrt(8.0))  # eighths differ independently
-    shared = float(np.sqrt(moments.contributions["noise"][0, 0])) / moments.volume_mm3
-    uneven = max(uneven, shared if shared > _LOUD else 0.0)
-    notices += [*media_notices(fit, soft, hollow), *misfit_notice(left, mucosa, bend, gain, uneven)]
+    noise = float(np.sqrt(moments.contributions["noise"][0, 0])) / moments.volume_mm3
+    notices += [*media_notices(fit, soft, hollow), *misfit_notice(left, mucosa, bend, gain, uneven, noise)]
     notices += [coat_notice(_share(usual_coat(fit), parts, moments))] if coat is None else []
     scene, level = _scene(fit, parts), parts.level
     del parts, unstated, gain  # a third of the memory, before surfaces need theirs

@@ -20,6 +20,7 @@ from stapeskit.warnings import Notice
 _CELL_VOXELS = 8
 _LEAST_VOXELS, _LEAST_CELL = 100, 12
 _LEAST_SHARE = calibrated("misfit.least_share")
+_LOUD = 5e-3  # share of the volume that noise leaves uncertain: twice that of white noise of 20 %
 _MIN_Z, _MIN_CHI2 = 7.0, 35.0
 _SUSPECT_Z = 2.0  # a second fit then decides: 1 in 40 bare bones costs one by chance
 _QUIET = 0.05  # noise, share of the contrast, beyond which surfaces follow it and fits differ by that
@@ -169,12 +170,14 @@ def misfit_notice(
     bend: float = 0.0,
     gain: Grey | None = None,
     uneven: float = 0.0,
+    noise: float = 0.0,
 ) -> list[Notice]:
     """Return one warning for all significant residuals.
 
     ``coat``: what a soft coat that nobody stated would take off, as a share of the volume, where it fits;
     ``bend``: of the grey scale; ``gain``: departure of the level of bone, place by place;
-    ``uneven``: standard deviation that the unevenness of air leaves, as a share of the volume.
+    ``uneven``, ``noise``: standard deviations that the unevenness of air, and noise, leave, as shares of the
+    volume.
     """
     standing = [str(one) for one in found if one.stands_out or (coat and one.may_be_soft)]
     if bend:
@@ -189,6 +192,8 @@ def misfit_notice(
         standing.append(
             f"a level of air that differs from place to place: {100.0 * uneven:.2f} % of the volume"
         )
+    if noise > _LOUD:
+        standing.append(f"noise that many neighbours share: {100.0 * noise:.2f} % of the volume")
     if not standing:
         return []
     text = (

@@ -27,8 +27,9 @@ CLOSE_SIGMAS = 5.0
 NEAR_REACHES = 1.7
 """So many reaches of the blur around the stapes are modelled: its rim and as much air."""
 
+# Streaks and shades are as wide, a box holds dozens of such cells, and the noise of their means is 1/64.
 AIR_VOXELS = 16
-"""Edge of the cells of air that are compared: streaks and shades are as wide, and a body holds dozens."""
+"""Edge of the cells of air whose mean levels are compared, voxels."""
 
 _LEAST_AIR = 400  # voxels of air from which a mean is taken: its noise is 5 % of a voxel's
 _CELL_VOXELS, _LEAST_CELL = 8, 30  # edge of the cells that are compared, and voxels of one that counts

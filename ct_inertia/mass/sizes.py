@@ -11,7 +11,7 @@ import numpy as np
 from ct_inertia.frames.footplate import FootplateFrame
 from ct_inertia.surface.repair import pieces
 from ct_inertia.surface.surface import Surface, enclosed_moments
-from stapeskit.arrays import Array
+from ct_inertia.surface.winding import winding_number
 from stapeskit.faults import StapeskitError
 from stapeskit.report.quantities import MASS
 from stapeskit.warnings import Notice
@@ -185,12 +185,10 @@ def check_mesh(mesh: Surface, name: str) -> None:
     """
     parts = pieces(mesh.faces)
     volumes = np.array([enclosed_moments(mesh.vertices_mm, mesh.faces[part])[0] for part in parts])
-    largest = mesh.vertices_mm[mesh.faces[parts[int(np.argmax(volumes))]]]
-    cavity = [
-        volume < 0.0 and _encloses(largest, mesh.vertices_mm[mesh.faces[part[0], 0]])
-        for volume, part in zip(volumes, parts, strict=True)
-    ]
-    sizes = np.abs(volumes[~np.array(cavity)])
+    largest = mesh.faces[parts[int(np.argmax(volumes))]]
+    of_each = mesh.vertices_mm[mesh.faces[[part[0] for part in parts], 0]]
+    cavity = (volumes < 0.0) & (winding_number(mesh.vertices_mm, largest, of_each) > 0.5)
+    sizes = np.abs(volumes[~cavity])
     bodies = sorted(sizes[sizes > _LEAST_BODY * sizes.max()], reverse=True)
     if len(bodies) > 1:
         listed = ", ".join(f"{volume:.3g}" for volume in bodies[:4])
@@ -198,18 +196,6 @@ def check_mesh(mesh: Surface, name: str) -> None:
         step = "Remove the others, or join them into one closed body, and export it again"
         raise StapeskitError.of("the mesh", "one closed body, the stapes", got, name, step)
     check_unit(float(np.max(np.ptp(mesh.vertices_mm, axis=0))), "the mesh", name)
-
-
-def _encloses(corners: Array, point: Array) -> bool:
-    """Return whether triangles (m, 3, 3) wind around a point (3,): their solid angles sum to 4 pi.
-
-    The angles are those of van Oosterom and Strackee 1983, doi:10.1109/TBME.1983.325207.
-    """
-    a, b, c = np.moveaxis(corners - point, 1, 0)
-    la, lb, lc = (np.linalg.norm(one, axis=1) for one in (a, b, c))
-    ab, bc, ca = (np.einsum("ij,ij->i", one, two) for one, two in ((a, b), (b, c), (c, a)))
-    box = np.einsum("ij,ij->i", a, np.cross(b, c))
-    return float(np.arctan2(box, la * lb * lc + ab * lc + bc * la + ca * lb).sum()) > np.pi
 
 
 def check_unit(size_mm: float, thing: str, name: str) -> None:

@@ -83,8 +83,8 @@ def choose_spacing(stored: Stored, from_user: float | Sequence[float] | None, na
         )
     if from_user is None:
         if not np.all(stated > 0.0):
-            told = "none" if np.all(np.isnan(stated)) else f"{_times(stated)} mm"
-            wanted, got = "in the file or given", f"{told}; {known}" if known else told
+            words = "none" if np.all(np.isnan(stated)) else f"{_times(stated)} mm"
+            wanted, got = "in the file or given", f"{words}; {known}" if known else words
             step = "Give it in mm with --spacing H or --spacing DX,DY,DZ"
             raise StapeskitError.of("the voxel spacing", wanted, got, name, step)
         return stated

@@ -31,7 +31,7 @@ _STL_HEADER, _STL_TRIANGLE = 84, 50  # bytes of a binary STL, which counts its t
 def read_mesh(path: Path | str, close: bool = False) -> Surface:
     """Read a closed mesh from STL, PLY, OBJ or GLB; its numbers are taken as mm in scan coordinates.
 
-    ``close`` fills the holes of one open piece.
+    ``close`` fills holes, and replaces several open pieces by where their winding number passes one half.
 
     Raises
     ------
@@ -110,7 +110,9 @@ def mend(vertices: Array, faces: Faces, name: str, close: bool = False) -> Surfa
             step = "Close them in the program that made the surface (a solid fill), or let --close do it"
             raise StapeskitError.of("the surface", "closed", f"{where} in {len(faces)} faces", name, step)
         vertices, faces, caps, how = _closed(vertices, faces, name)
-        texts.append(f"{name} had {where}; {how} (--close), and the budget holds what may be missing: look.")
+        texts.append(
+            f"{name} had {where}; {how} (--close). The budget holds what may be missing: look at the surface."
+        )
     faces, turned = _oriented(vertices, faces, name)
     if turned:
         texts.append(f"{turned} of {len(faces)} faces of {name} were wound the other way; they were turned.")

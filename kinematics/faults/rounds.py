@@ -31,7 +31,7 @@ POWER = 0.9
 """Probability with which a fault of the reported size is found: the usual power of a planned test."""
 _LEVEL_ROUNDS = 2  # of the noise of channels: wrong weights put noise into the columns that hold the motion
 _STATED = 1e-4  # sd of a logarithm that is as good as none
-_BELIEVED = 6.0  # standard deviations up to which an expected error is one, and not what a fault makes of it
+_BELIEVED = 6.0  # standard deviations of an expected error: beyond, 2e-9 by chance, it is what a fault makes
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class Round:
     def believed(self) -> tuple[Array, State]:
         """Expected errors (p,) that faults are fitted from, and the motion with them.
 
-        A dead channel drives those of its laser far beyond what is stated, where no fit finds back from: then
-        they are zero.
+        A dead channel drives the expected errors of its laser so far off that no fit returns: faults are then
+        fitted from zero.
         """
         if np.all(np.abs(self.estimate.values) <= _BELIEVED * self.expected.sd):
             return self.estimate.values, self.state

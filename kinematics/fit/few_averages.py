@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from kinematics.measurement import BodyChannels
+from kinematics.signals.frf import STEADY_AVERAGES, lines_to_pool
 from stapeskit.arrays import Array
 
-_STEADY = 100  # averages whose noise variance is known to 10 %
-_WIDER = 1.5  # lines are correlated by windows: those of 150 averages are taken for 100
 _UNLIKELY = 1e-4  # probability from which on a line is louder than its neighbours, as at mains
 
 
@@ -27,7 +26,7 @@ def with_steady_noise(body: BodyChannels) -> BodyChannels:
     logarithms tells, that of neighbours does so too: a resonance is louder than they are. A line that is
     louder still, by more than chance, keeps its own noise.
     """
-    few = np.unique(body.averages[(body.averages > 1.0) & (body.averages < _STEADY)])
+    few = np.unique(body.averages[(body.averages > 1.0) & (body.averages < STEADY_AVERAGES)])
     if body.sd is None or not few.size:
         return body
     sd = np.array(body.sd)
@@ -43,7 +42,7 @@ def _over_lines(sd: Array, amplitude: Array, averages: float) -> Array:
     from scipy.special import chdtri, digamma
 
     known = (sd > 0.0) & (amplitude > 0.0)
-    width = min(int(np.ceil(_WIDER * _STEADY / averages)), sd.shape[2])
+    width = min(lines_to_pool(averages), sd.shape[2])
     count = np.maximum(uniform_filter1d(known.astype(float), width, axis=2), 1e-9)
 
     def around(size: Array) -> tuple[Array, Array]:

@@ -22,8 +22,9 @@ from stapeskit.warnings import Notice
 FLOOR = 1e-12
 """Least sd over the largest amplitude (contract): exact data have no noise, weights need some."""
 
+# Noise alone exceeds it with the probability exp(-14) = 8e-7 (chi2 of two degrees of freedom over its mean).
 FAR = 14.0
-"""Squares of residuals over their mean from which on values are far off: by chance 8e-7 of them, exp(-14)."""
+"""Square of a residual over the mean square above which a value counts as far off."""
 
 _LEAST_LEVEL_DOF = 4.0  # of a level of noise: the mean of 1 over fewer grows beyond 2, for 2 without end
 _LEVEL_ROUNDS = 6  # of channels: with wrong weights, residuals of quiet ones hold the noise of loud ones

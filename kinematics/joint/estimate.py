@@ -16,7 +16,7 @@ from kinematics.joint.pack import Packed
 from kinematics.joint.tangents import Geometry, Parameters
 from stapeskit.arrays import Array, ComplexArray
 
-_ROUNDING = 1e-14  # of information that the motion takes up wholly, with room
+_ROUNDING = 1e-14  # relative rounding that is left of information where the motion explains a parameter
 _SMALL = 1e-9  # singular values of the beams, over the largest, that count as zero
 _LEAST_OWN = 1e-6  # share of a channel's noise that stays in its residual, below which nothing is known of it
 _ROUNDS = 12  # of Gauss and Newton; most end after three

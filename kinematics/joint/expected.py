@@ -14,8 +14,8 @@ from stapeskit.arrays import Array
 
 LASER_KINDS = {"laser_gain": GAIN, "laser_phase": PHASE, "laser_delay": DELAY}
 LASER_SD = {"laser_gain": 0.01, "laser_phase": float(np.deg2rad(0.5)), "laser_delay": 1e-6}
-"""Of each laser against the others: data sheets of vibrometers state 1 % and 0.5 degrees, cables and filters
-differ by 1 us."""
+"""Of each laser against the others, at a gain sd of 1 %: data sheets state 1 % and 0.5 degrees, cables and
+filters differ by 1 us."""
 AXES_SD_DEG = 1.0
 """Prior sd of the turn between beams and positions: holders are set by eye, to about a degree."""
 BEAM_SD_DEG = 0.5

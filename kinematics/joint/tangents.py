@@ -98,7 +98,7 @@ class Geometry:
     factor : ndarray, (G, c), complex
         What the values are multiplied with; G is 1 where it is the same at all lines.
     slope : ndarray, (G, c), complex, or None
-        By how much the factor changes with a gain; None: by itself, as the factor is where no gain has moved.
+        Derivative of the factor by a gain; None: the factor itself, as where no gain has changed it.
     """
 
     positions_m: Array

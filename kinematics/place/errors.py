@@ -48,7 +48,7 @@ class ErrorEstimate:
         1, rad, s and m; after the data.
     beams : tuple of str
         Mean direction of the beams of each laser.
-    left
+    share_left : float
         Share of the disagreement beyond noise, root mean square, that the estimate leaves.
     """
 
@@ -56,7 +56,7 @@ class ErrorEstimate:
     values: Array
     covariance: Array
     beams: tuple[str, ...] = ()
-    left: float = 0.0
+    share_left: float = 0.0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -120,7 +120,7 @@ class ErrorEstimate:
         text = (
             f"{what} by more than stated (p {shown.p_value:.1g}): most the {name}, by {value:+.3g} +- "
             f"{sd:.2g} {unit} (stated sd {stated:.2g} {unit}). The motion is corrected by what is stated of "
-            f"them: {100.0 * self.left:.0f} % of the disagreement is left. Check beams, positions and "
+            f"them: {100.0 * self.share_left:.0f} % of the disagreement is left. Check beams, positions and "
             "channels with a verdict, or state larger errors: --gain-sd, sd_mm."
         )
         return [Notice("stated_errors_exceeded", text)]

@@ -117,8 +117,8 @@ FORMATS = (
     Format(
         "tidy", "a tidy table (.csv)",
         lambda head: head.suffix in _TABLES and not head.content.startswith(_ZIP),
-        "commas, semicolons or tabs, decimal commas, UTF-8 or UTF-16, BOM, any line ends, quotes, `#` lines, "
-        "`sep=;`",
+        "commas, semicolons or tabs, decimal commas, UTF-8, UTF-16 or Latin-1, BOM, any line ends, quotes, "
+        "`#` lines, `sep=;`",
     ),
 )  # fmt: skip
 """In the order in which they are tried."""

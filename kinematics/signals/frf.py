@@ -18,12 +18,15 @@ import numpy as np
 from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import StapeskitError
 
+STEADY_AVERAGES = 100
+"""Averages whose noise estimate needs no neighbouring lines: its variance is known to 10 %."""
+
 _FEWEST = 3  # two segments give no variance of a variance
 _SHORTEST = 8  # samples of a segment: shorter ones have no line apart from 0 Hz and its neighbour
-_STEADY = 100  # averages whose noise estimate needs no neighbouring lines: sd known to 7 %
 _HANN_SPREAD = 35.0 / 18.0  # mean of w^4 over that of w^2 squared: correlation of neighbouring lines
 _MOST_PERIODS = 50  # periods a block that are tried: more would need a clock better than 1e-3 of a sample
-_SINGLE, _NEIGHBOURS = 100.0, 25  # times the power next to it: three segments of noise reach 20 in 10^5 lines
+_SINGLE = 100.0  # times the power next to it: three segments of noise reach 20 in 10^5 lines
+_NEIGHBOURS, _LOWER_PERCENT = 25, 25  # lines around one, of which the lower quarter holds no single line
 _LEAST_REFERENCE = 1e-3  # share of the largest line from which a line of a period counts as excited
 
 
@@ -90,7 +93,7 @@ def welch_frf(
     if not np.all(power > 0.0):
         step = "Check its channel; of a periodic excitation give it with --period"
         raise StapeskitError.of("the reference", "of some power at every line", 0, where, step)
-    single = power > _SINGLE * percentile_filter(power, 25, _NEIGHBOURS)
+    single = power > _SINGLE * percentile_filter(power, _LOWER_PERCENT, _NEIGHBOURS)
     if np.sum(power[single]) > 0.5 * np.sum(power):
         step = "Give the period with --period; of steps of a sine give amplitudes and phases as a tidy table"
         got = f"{100.0 * np.sum(power[single]) / np.sum(power):.0f} % of it in {np.sum(single)} single lines"
@@ -171,11 +174,16 @@ def _with_noise(
     coherence = np.clip(np.abs(xy) ** 2 / np.maximum(xx * yy, np.finfo(float).tiny), 0.0, 1.0)
     residual = [y - one[:, None] * reference for y, one in zip(responses, value, strict=True)]
     noise = np.array([np.mean(np.abs(one) ** 2, axis=-1) for one in residual])
-    width = int(np.ceil(1.5 * _STEADY / averages)) if averages < _STEADY else 1
+    width = lines_to_pool(averages)
     freedom = (averages - 1.0) / line_spread
     share = 1.0 / (2.0 * max(averages - 1.0, 1e-3) * power)
     sd = np.sqrt(smoothed(noise, width, freedom) * share)
     return Frf(freq_hz, value, sd, coherence, averages, line_spread)
+
+
+def lines_to_pool(averages: float) -> int:
+    """Return from how many neighbouring lines the noise is taken; windows correlate them, hence half more."""
+    return int(np.ceil(1.5 * STEADY_AVERAGES / averages)) if averages < STEADY_AVERAGES else 1
 
 
 def smoothed(spectrum: Array, width: int, freedom: float = np.inf) -> Array:

@@ -97,7 +97,7 @@ def test_the_gap_of_the_ligament_lies_within_its_stated_sd(study: Study) -> None
 
 
 def test_fluid_in_the_gap_is_in_its_sd(tmp_path: Path) -> None:
-    """Between surfaces that blur joins, fluid is not told from bone: both edges move towards each other."""
+    """In a gap narrower than the blur, fluid looks like bone: the edges of both bones seem closer."""
     ear = Ear(stapes=Stapes(family="foreign base"), gap_mm=0.12, fluid_depth_mm=0.3, plate=False)
     truth = simulate_study(ear, Scan(voxel_um=36.0, soft=0.25, samples=4, seed=5), None, tmp_path)
     anterior = tuple(float(v) for v in truth.scan_from_footplate.rotation[:, 0])

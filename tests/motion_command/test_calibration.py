@@ -101,8 +101,8 @@ def test_what_an_estimate_leaves_of_a_disagreement_is_a_share():
     value[:, lasers_of(placed.bodies)[0][0]] *= np.exp(1j * np.deg2rad(40.0))
     wrong = replace(placed, bodies=(replace(body, value=value),))
     sound, found = calibrate(placed), calibrate(wrong)
-    assert sound.left < 0.2
-    assert 0.02 < found.left < 1.0
+    assert sound.share_left < 0.2
+    assert 0.02 < found.share_left < 1.0
 
 
 def test_errors_beyond_their_priors_are_reported():

@@ -264,7 +264,7 @@ def test_stated_positions_and_readings_without_noise_end_in_a_result(tmp_path, s
 
 @pytest.mark.parametrize("lines", [1, 3, 40])
 def test_an_exact_motion_along_one_direction_ends_in_a_result(tmp_path, lines):
-    """Along one direction a gain of a laser and the motion are not told apart: a gain has no information."""
+    """When everything moves in one direction, the readings do not determine the gain of a laser."""
     truth = simulated(tmp_path, lines=lines, in_footplate=True, exact=True, others=0.0, seed=303)
     result = measured(tmp_path)
     found = result.motion.q[0, result.motion.body("base"), :, 1]

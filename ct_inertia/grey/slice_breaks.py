@@ -18,20 +18,23 @@ from stapeskit.warnings import Notice
 _MIN_Z = 6.0  # standard deviations of a step: none of a million whole scans by chance
 _LEAST_SHARE = 1.0 / 3.0  # of the step that one missing slice leaves; the blur hides up to half of it
 _LEAST_NOISE = 0.02  # of the contrast: what sampling leaves of a sharp picture without noise
-_ALIKE = 1.0 / 3.0  # of a break that growing and shrinking sections both show, or do not for their noise
+_ALIKE = (
+    1.0 / 3.0
+)  # of a break: least that growing and shrinking sections must each show, unless noise hides it
+_LEAST_SLOPE = 0.1  # of T by n: where the blur hides nearly all of a break, its size is not known better
 _LEAST_MM2 = 0.02  # of a section: least cross-section of a crus
 _NEIGHBOURS = 2  # slices on either side of a break that the scene bends towards it
 
 
 @dataclass(frozen=True)
 class SliceBreak:
-    """A break between a slice of the scene and the next one, and how many slices are missing there.
+    """A break behind the slice ``before`` of the scene, and how many slices are missing there.
 
-    The number is a fraction where slices were averaged, negative where there are too many, and stands for
-    whatever moves the picture by as much.
+    The number is a fraction where slices were averaged, negative where there are too many; of another break
+    it is the number of missing slices that would move the picture by as much.
     """
 
-    slice: int
+    before: int
     missing: float
 
 
@@ -54,29 +57,30 @@ def slice_breaks(fit: SceneFit) -> Iterator[SliceBreak]:
     steps = np.where(pairs, contrast * np.diff(fit.shares["stapes"], axis=0), np.float32(0.0))
     left = np.where(pairs, np.diff(fit.residual, axis=0), np.float32(0.0))
     share = float(erf(fit.start.spacing[0] / (2.0 * np.sqrt(2.0) * fit.widths_mm[0])))
-    one = (2.0 / (1.0 + share) - 1.0) / float(fit.start.grid.block[2])
+    single = (2.0 / (1.0 + share) - 1.0) / float(fit.start.grid.block[2])  # what one missing slice leaves
     noise = max(fit.start.noise, _LEAST_NOISE * float(contrast))
     noise *= float(np.sqrt(2.0 * max(fit.start.correlation, 1.0)))
     slopes, error = _slopes(steps, left, noise)
-    seen = error < _LEAST_SHARE * one / _MIN_Z
+    seen = error < _LEAST_SHARE * single / _MIN_Z
     if not seen.any():
         return
     usual = float(np.median(slopes[seen]))
     scatter = 1.4826 * float(np.median(np.abs(slopes[seen] - usual)))
     away = slopes - usual
-    away[np.abs(away) < np.maximum(_MIN_Z * np.hypot(error, scatter), _LEAST_SHARE * one)] = 0.0
-    away[~_within(fit)] = 0.0
+    away[np.abs(away) < np.maximum(_MIN_Z * np.hypot(error, scatter), _LEAST_SHARE * single)] = 0.0
+    away[~_amid_stapes(fit)] = 0.0
     for part in (np.maximum(steps, np.float32(0.0)), np.minimum(steps, np.float32(0.0))):
         slope, sd = _slopes(part, left, noise)
         shown = sd < _ALIKE * np.abs(away)
         away[shown & ((slope - usual) * np.sign(away) < _ALIKE * np.abs(away))] = 0.0
     while away.any():
         k = int(np.argmax(np.abs(away)))
-        yield SliceBreak(k, float(away[k] / max(1.0 - share * (1.0 + away[k]), 0.1)))
+        most = max(1.0 - share * (1.0 + away[k]), _LEAST_SLOPE)
+        yield SliceBreak(k, float(away[k] / most))
         away[max(0, k - _NEIGHBOURS) : k + _NEIGHBOURS + 1] = 0.0
 
 
-def _within(fit: SceneFit) -> NDArray[np.bool_]:
+def _amid_stapes(fit: SceneFit) -> NDArray[np.bool_]:
     """Return between which slices (n,) the stapes goes on beyond the neighbours: at its tips fringes step."""
     pixel = fit.start.grid.voxel_mm3 / float(fit.start.spacing[0])
     wide = np.sum(fit.shares["stapes"], axis=(1, 2)) * pixel > _LEAST_MM2
@@ -101,14 +105,14 @@ def with_breaks(
     breaks, grid = list(slice_breaks(fit)), fit.start.grid
     for number in repeated:
         k = int((number - grid.first[2]) // grid.block[2]) - 1
-        if 0 <= k < grid.shape[0] - 1 and all(abs(k - one.slice) > _NEIGHBOURS for one in breaks):
+        if 0 <= k < grid.shape[0] - 1 and all(abs(k - one.before) > _NEIGHBOURS for one in breaks):
             breaks.append(SliceBreak(k, -1.0 / float(grid.block[2])))
     if not breaks:
         return moments, []
     for one in breaks:
         step = _change(fit, one, moments)
         moments = moments.with_source("slices", np.outer(step, step))
-    numbers = sorted(int(grid.first[2] + (one.slice + 1) * grid.block[2]) for one in breaks)
+    numbers = sorted(int(grid.first[2] + (one.before + 1) * grid.block[2]) for one in breaks)
     text = (
         f"The scan breaks off before slice {list_some(map(str, numbers), 6)}, counted from 0: slices are "
         "missing, doubled or exchanged there, or the sample has moved. What that changes of volume and "
@@ -123,10 +127,10 @@ def _change(fit: SceneFit, one: SliceBreak, moments: Moments) -> Array:
 
     They hold the section of the stapes there, and all beyond them is farther away.
     """
-    grid, share, next_ = fit.start.grid, fit.shares["stapes"], one.slice + 1
+    grid, share, next_ = fit.start.grid, fit.shares["stapes"], one.before + 1
     transform = grid.scan_from_index.copy()
-    transform[:3, 3] += transform[:3, 2] * one.slice
-    section = effect(0.5 * share[one.slice : next_ + 1], transform, moments)
+    transform[:3, 3] += transform[:3, 2] * one.before
+    section = effect(0.5 * share[one.before : next_ + 1], transform, moments)
     transform[:3, 3] += transform[:3, 2]
     beyond = effect(share[next_:], transform, moments)
     along = grid.scan_from_index[:3, 2]
